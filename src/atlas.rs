@@ -1,0 +1,10 @@
+//! The texture atlas: where each triangle lies on which page, and the pages' texels (L1).
+//!
+//! Texel coordinates are as in graphics: (0, 0) is the top-left corner of a page, the centre of
+//! the first texel is (0.5, 0.5), v points down.
+
+pub mod layout;
+pub mod texture;
+
+pub use layout::{AtlasLayout, ChartId, PlacedChart, TexelRect};
+pub use texture::{AtlasTexture, TexelSource, TexturePage};

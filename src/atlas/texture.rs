@@ -1,0 +1,66 @@
+//! The texels of the pages: colour, where it came from, and how far to trust it.
+
+/// Where a texel's colour came from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct TexelSource(u32);
+
+impl TexelSource {
+    /// No triangle covers the texel and no gutter reaches it.
+    pub const NONE: Self = Self(u32::MAX);
+    /// The mean over all frames that see the point (L2Avg), where no single frame was chosen.
+    pub const MEAN: Self = Self(u32::MAX - 1);
+    /// Spread from painted neighbours: no frame sees the point.
+    pub const DIFFUSED: Self = Self(u32::MAX - 2);
+    /// Copied from the border of its chart, for filtering and mipmaps.
+    pub const GUTTER: Self = Self(u32::MAX - 3);
+
+    /// Copied from a keyframe.
+    pub const fn keyframe(id: u32) -> Self {
+        Self(id)
+    }
+
+    /// The keyframe, where it was one.
+    pub const fn as_keyframe(self) -> Option<u32> {
+        if self.0 < Self::GUTTER.0 {
+            Some(self.0)
+        } else {
+            None
+        }
+    }
+}
+
+/// One page, row-major from the top left.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TexturePage {
+    /// Columns.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// sRGB bytes.
+    pub srgb: Vec<[u8; 3]>,
+    /// Per texel: where its colour came from.
+    pub source: Vec<TexelSource>,
+    /// Per texel: 0 (a guess) to 255 (sharp, near, head-on).
+    pub confidence: Vec<u8>,
+}
+
+impl TexturePage {
+    /// A page that nothing was painted on.
+    pub fn blank(width: u32, height: u32) -> Self {
+        let num_texels = width as usize * height as usize;
+        Self {
+            width,
+            height,
+            srgb: vec![[0; 3]; num_texels],
+            source: vec![TexelSource::NONE; num_texels],
+            confidence: vec![0; num_texels],
+        }
+    }
+}
+
+/// All pages of an atlas, in the order of [`super::AtlasLayout`].
+#[derive(Clone, Debug, PartialEq, Default)]
+pub struct AtlasTexture {
+    /// The pages.
+    pub pages: Vec<TexturePage>,
+}

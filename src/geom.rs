@@ -1,0 +1,18 @@
+//! Frames, stamps, cameras and images: the words every other module speaks (L0).
+//!
+//! Conventions, held everywhere behind this module: metres, radians, integer nanoseconds;
+//! optical frames (x right, y down, z forward); images row-major from the top left with the
+//! centre of the first pixel at (0, 0); depth along z; colours are sRGB bytes at the edges.
+
+pub mod camera;
+pub mod color;
+pub mod encoded;
+pub mod frame;
+pub mod image;
+pub mod stamp;
+
+pub use camera::{CameraError, CameraModel, Distortion, PinholeCamera};
+pub use encoded::{ColorEncoding, DepthEncoding, EncodedColor, EncodedDepth};
+pub use frame::{FrameError, RigidTransform};
+pub use image::{ColorImage, DepthImage, ImageError};
+pub use stamp::Stamp;

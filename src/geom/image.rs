@@ -1,0 +1,220 @@
+//! Decoded images: sRGB colour and metric depth.
+
+/// Why an image was refused.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum ImageError {
+    /// Width or height is zero or past [`crate::geom::camera::MAX_IMAGE_SIDE_PX`].
+    #[error("image size {width}x{height} is not usable")]
+    Size {
+        /// Width in pixels.
+        width: u32,
+        /// Height in pixels.
+        height: u32,
+    },
+    /// The buffer is shorter or longer than the size says.
+    #[error("image of {width}x{height} needs {expected} {unit}, has {actual}")]
+    Length {
+        /// Width in pixels.
+        width: u32,
+        /// Height in pixels.
+        height: u32,
+        /// What is counted: `pixels` or `bytes`.
+        unit: &'static str,
+        /// How many the size asks for.
+        expected: usize,
+        /// How many there are.
+        actual: usize,
+    },
+    /// The encoding's name is not one that veneer reads.
+    #[error("image encoding '{0}' is not supported")]
+    Encoding(String),
+    /// The codec refused the bytes.
+    #[error("{codec} image does not decode: {reason}")]
+    Codec {
+        /// `jpeg`, `png` or `rvl`.
+        codec: &'static str,
+        /// The codec's words.
+        reason: String,
+    },
+}
+
+fn check_size(width: u32, height: u32) -> Result<usize, ImageError> {
+    let sides = 1..=crate::geom::camera::MAX_IMAGE_SIDE_PX;
+    if sides.contains(&width) && sides.contains(&height) {
+        Ok(width as usize * height as usize)
+    } else {
+        Err(ImageError::Size { width, height })
+    }
+}
+
+fn check_length(width: u32, height: u32, actual: usize) -> Result<(), ImageError> {
+    let expected = check_size(width, height)?;
+    if actual == expected {
+        Ok(())
+    } else {
+        Err(ImageError::Length {
+            width,
+            height,
+            unit: "pixels",
+            expected,
+            actual,
+        })
+    }
+}
+
+/// A colour image: sRGB bytes, row-major from the top left, never empty.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ColorImage {
+    width: u32,
+    height: u32,
+    pixels: Vec<[u8; 3]>,
+}
+
+impl ColorImage {
+    /// An image of `width`×`height` sRGB pixels.
+    ///
+    /// # Errors
+    /// [`ImageError`] when the size is unusable or `pixels` does not match it.
+    pub fn new(width: u32, height: u32, pixels: Vec<[u8; 3]>) -> Result<Self, ImageError> {
+        check_length(width, height, pixels.len())?;
+        Ok(Self {
+            width,
+            height,
+            pixels,
+        })
+    }
+
+    /// Width in pixels.
+    pub fn width(&self) -> u32 {
+        self.width
+    }
+
+    /// Height in pixels.
+    pub fn height(&self) -> u32 {
+        self.height
+    }
+
+    /// All pixels, row-major.
+    pub fn pixels(&self) -> &[[u8; 3]] {
+        &self.pixels
+    }
+
+    /// The pixel at column `x`, row `y`; coordinates past the edge are clamped to it.
+    pub fn pixel_clamped(&self, x: u32, y: u32) -> [u8; 3] {
+        let x = x.min(self.width - 1) as usize;
+        let y = y.min(self.height - 1) as usize;
+        self.pixels[y * self.width as usize + x]
+    }
+
+    /// Bilinear sample in sRGB bytes' scale (0–255); the lookup is clamped to the image.
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "clamped to the image before the casts"
+    )]
+    pub fn sample_bilinear(&self, [x_px, y_px]: [f32; 2]) -> [f32; 3] {
+        let x_px = x_px.clamp(0.0, (self.width - 1) as f32);
+        let y_px = y_px.clamp(0.0, (self.height - 1) as f32);
+        let (x0, y0) = (x_px as u32, y_px as u32);
+        let (fx, fy) = (x_px - x0 as f32, y_px - y0 as f32);
+        let p00 = self.pixel_clamped(x0, y0);
+        let p10 = self.pixel_clamped(x0 + 1, y0);
+        let p01 = self.pixel_clamped(x0, y0 + 1);
+        let p11 = self.pixel_clamped(x0 + 1, y0 + 1);
+        std::array::from_fn(|c| {
+            let top = f32::from(p00[c]) + fx * (f32::from(p10[c]) - f32::from(p00[c]));
+            let bottom = f32::from(p01[c]) + fx * (f32::from(p11[c]) - f32::from(p01[c]));
+            top + fy * (bottom - top)
+        })
+    }
+}
+
+/// A depth image in metres along z; 0 where nothing was measured (NaN, infinite and negative
+/// inputs become 0 at construction).
+#[derive(Clone, Debug, PartialEq)]
+pub struct DepthImage {
+    width: u32,
+    height: u32,
+    depth_m: Vec<f32>,
+}
+
+impl DepthImage {
+    /// A depth image of `width`×`height` pixels, in metres.
+    ///
+    /// # Errors
+    /// [`ImageError`] when the size is unusable or `depth_m` does not match it.
+    pub fn new(width: u32, height: u32, mut depth_m: Vec<f32>) -> Result<Self, ImageError> {
+        check_length(width, height, depth_m.len())?;
+        for depth in &mut depth_m {
+            if !(depth.is_finite() && *depth > 0.0) {
+                *depth = 0.0;
+            }
+        }
+        Ok(Self {
+            width,
+            height,
+            depth_m,
+        })
+    }
+
+    /// Width in pixels.
+    pub fn width(&self) -> u32 {
+        self.width
+    }
+
+    /// Height in pixels.
+    pub fn height(&self) -> u32 {
+        self.height
+    }
+
+    /// All depths in metres, row-major; 0 = no measurement.
+    pub fn depths_m(&self) -> &[f32] {
+        &self.depth_m
+    }
+
+    /// Depth at the pixel nearest to a position; `None` outside the image or without measurement.
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "range-checked before the casts"
+    )]
+    pub fn nearest(&self, [x_px, y_px]: [f64; 2]) -> Option<f32> {
+        let (x, y) = ((x_px + 0.5).floor(), (y_px + 0.5).floor());
+        let inside =
+            x >= 0.0 && y >= 0.0 && x < f64::from(self.width) && y < f64::from(self.height);
+        if !inside {
+            return None;
+        }
+        let depth_m = self.depth_m[y as usize * self.width as usize + x as usize];
+        (depth_m > 0.0).then_some(depth_m)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn length_must_match_size() {
+        assert!(ColorImage::new(2, 2, vec![[0; 3]; 3]).is_err());
+        assert!(ColorImage::new(0, 0, vec![]).is_err());
+        assert!(DepthImage::new(1 << 15, 1, vec![0.0; 1 << 15]).is_err());
+    }
+
+    #[test]
+    fn bilinear_is_exact_on_a_ramp() {
+        let pixels = (0..12).map(|i| [(i % 4) * 10, (i / 4) * 20, 7]).collect();
+        let image = ColorImage::new(4, 3, pixels).unwrap();
+        let [r, g, b] = image.sample_bilinear([1.25, 0.5]);
+        assert!((r - 12.5).abs() < 1e-5 && (g - 10.0).abs() < 1e-5 && (b - 7.0).abs() < 1e-5);
+        assert_eq!(image.sample_bilinear([-5.0, 99.0]), [0.0, 40.0, 7.0]);
+    }
+
+    #[test]
+    fn invalid_depth_reads_as_none() {
+        let image = DepthImage::new(2, 2, vec![f32::NAN, -1.0, f32::INFINITY, 2.0]).unwrap();
+        assert_eq!(image.nearest([0.0, 0.0]), None);
+        assert_eq!(image.nearest([1.4, 0.6]), Some(2.0));
+        assert_eq!(image.nearest([1.6, 0.6]), None);
+    }
+}

@@ -1,0 +1,21 @@
+//! veneer paints a scan while it is being made.
+//!
+//! ```text
+//! ROS topics ┐
+//!            ├─ wire ─→ ingest ─→ keyframe ─→ texinit ─→ atlas ─→ export, report
+//! MCAP bag ──┘  (CDR ↔ our types)  (sync, pose)  (store)
+//! ```
+//!
+//! Data flows one way. Pure compute ([`geom`], [`mesh`], [`render`], [`atlas`], [`keyframe`],
+//! [`texinit`]) knows neither ROS nor files. The method is that of Zhao, Zhao, Schwing,
+//! "Initialization and Alignment for Adversarial Texture Optimization", ECCV 2022.
+//!
+//! Conventions: metres, radians, integer nanoseconds; optical frames (x right, y down, z
+//! forward); transforms are named `dst_from_src`; image pixel centres are at integers, texel
+//! centres at halves. See `ARCHITECTURE.md` for who may import whom.
+
+pub mod atlas;
+pub mod geom;
+pub mod ingest;
+pub mod keyframe;
+pub mod mesh;

@@ -1,0 +1,3 @@
+//! The `veneer` command: parse, build, run, exit code.
+
+fn main() {}
