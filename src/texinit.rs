@@ -1,0 +1,3 @@
+//! TexInit: from a mesh and posed frames to an atlas with every texel coloured (L3).
+
+pub mod flatten;
