@@ -19,4 +19,5 @@ pub mod geom;
 pub mod ingest;
 pub mod keyframe;
 pub mod mesh;
+pub mod render;
 pub mod texinit;
