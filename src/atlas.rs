@@ -4,7 +4,9 @@
 //! the first texel is (0.5, 0.5), v points down.
 
 pub mod layout;
+pub mod texels;
 pub mod texture;
 
 pub use layout::{AtlasLayout, ChartId, PlacedChart, TexelRect};
+pub use texels::{for_each_texel, for_each_texel_within};
 pub use texture::{AtlasTexture, TexelSource, TexturePage};

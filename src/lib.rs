@@ -22,3 +22,5 @@ pub mod ingest;
 pub mod keyframe;
 pub mod mesh;
 pub mod wire;
+pub mod render;
+pub mod texinit;

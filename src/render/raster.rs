@@ -1,0 +1,676 @@
+//! A z-buffer of triangle ids on the CPU.
+//!
+//! Input: a mesh, a pinhole camera (pixel centres at integers) and its pose. Output: per pixel the
+//! nearest triangle's id and its depth along z in metres. Both faces of a triangle are drawn.
+//!
+//! Method: vertices are snapped to 1/256 px and the edge functions are exact in integers, with a
+//! half-open fill rule, so that triangles that share an edge neither overlap nor leave a gap.
+//! 1/z is affine in the image; it is interpolated in f64 and kept within the triangle's own range,
+//! which keeps slivers sane. Triangles are clipped at [`NEAR_M`] and, far outside the image, at a
+//! guard band that keeps the integers in range (Sutherland–Hodgman, from the inner to the outer
+//! end of each edge, so that neighbours are cut at the same points).
+//!
+//! Ties: the nearest depth wins, then the lowest id; the outcome does not depend on the order of a
+//! triangle's corners. Triangles that cover no pixel centre leave no trace.
+
+use nalgebra::{Matrix3, Point3, Vector3};
+
+use crate::geom::{PinholeCamera, RigidTransform};
+use crate::mesh::TriMesh;
+
+/// Id of pixels that no triangle covers.
+pub const NO_TRIANGLE: u32 = u32::MAX;
+
+/// Surfaces nearer than this along z are clipped, metres.
+pub const NEAR_M: f64 = 0.01;
+
+const SUBPIXEL: f64 = 256.0;
+const SUBPIXEL_BITS: u32 = 8;
+/// Vertices farther than this outside the image's origin are clipped away: with it edge functions
+/// stay under 2⁵⁶.
+const GUARD_PX: f64 = 131_072.0;
+/// Wider boxes than this are cut to the triangle's span row by row.
+const SPAN_WIDTH_PX: i64 = 12;
+
+const LEFT: u8 = 1;
+const RIGHT: u8 = 2;
+const ABOVE: u8 = 4;
+const BELOW: u8 = 8;
+const NEAR: u8 = 16;
+const OUTSIDE: u8 = LEFT | RIGHT | ABOVE | BELOW | NEAR;
+const GUARD: u8 = 32;
+const NOT_FINITE: u8 = 64;
+
+/// What a camera sees, row-major from the top left.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ViewBuffer {
+    /// Columns.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// Per pixel: index of the nearest triangle, or [`NO_TRIANGLE`].
+    pub triangle: Vec<u32>,
+    /// Per pixel: depth along z in metres, 0 where there is no triangle.
+    pub depth_m: Vec<f32>,
+}
+
+impl ViewBuffer {
+    fn clear(&mut self, width: u32, height: u32) {
+        let num_pixels = width as usize * height as usize;
+        self.width = width;
+        self.height = height;
+        self.triangle.clear();
+        self.triangle.resize(num_pixels, NO_TRIANGLE);
+        self.depth_m.clear();
+        self.depth_m.resize(num_pixels, 0.0);
+    }
+}
+
+/// Scratch memory of [`rasterize`], worth keeping from view to view.
+#[derive(Clone, Debug, Default)]
+pub struct RasterWorkspace {
+    vertices: Vec<ScreenVertex>,
+}
+
+/// A projected vertex, snapped to the sub-pixel grid.
+#[derive(Clone, Copy, Debug, Default)]
+struct ScreenVertex {
+    x: i32,
+    y: i32,
+    inv_z: f32,
+    outcode: u8,
+}
+
+/// Camera and pose with the products that every vertex needs.
+struct Projector {
+    /// Rows: homogeneous column, homogeneous row, depth.
+    pixels_from_world: Matrix3<f64>,
+    offset: Vector3<f64>,
+    max_x_px: f64,
+    max_y_px: f64,
+}
+
+impl Projector {
+    fn new(camera: &PinholeCamera, camera_from_world: &RigidTransform) -> Self {
+        let [fx, fy, cx, cy] = camera.intrinsics_px();
+        let intrinsics = Matrix3::new(fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0);
+        let rotation = camera_from_world.rotation().to_rotation_matrix();
+        Self {
+            pixels_from_world: intrinsics * rotation.matrix(),
+            offset: intrinsics * camera_from_world.translation(),
+            max_x_px: f64::from(camera.width()),
+            max_y_px: f64::from(camera.height()),
+        }
+    }
+
+    /// (column · z, row · z, z).
+    fn homogeneous(&self, point_in_world: &Point3<f64>) -> Vector3<f64> {
+        self.pixels_from_world * point_in_world.coords + self.offset
+    }
+
+    /// Which half-spaces the point is outside of. They are linear in homogeneous coordinates, so
+    /// they hold behind the camera too.
+    fn outcode(&self, h: &Vector3<f64>) -> u8 {
+        if !(h.x.is_finite() && h.y.is_finite() && h.z.is_finite()) {
+            return NOT_FINITE;
+        }
+        let bit = |is_set: bool, bit: u8| if is_set { bit } else { 0 };
+        // One pixel of margin covers the snapping.
+        bit(h.x + h.z < 0.0, LEFT)
+            | bit(h.x - self.max_x_px * h.z > 0.0, RIGHT)
+            | bit(h.y + h.z < 0.0, ABOVE)
+            | bit(h.y - self.max_y_px * h.z > 0.0, BELOW)
+            | bit(h.z < NEAR_M, NEAR)
+            | bit(
+                h.x.abs() > GUARD_PX * h.z || h.y.abs() > GUARD_PX * h.z,
+                GUARD,
+            )
+    }
+
+    #[expect(
+        clippy::cast_possible_truncation,
+        reason = "snapping is meant; float to int casts saturate, and unsnappable vertices are clipped"
+    )]
+    fn snap(h: &Vector3<f64>, outcode: u8) -> ScreenVertex {
+        let inv_z = 1.0 / h.z;
+        ScreenVertex {
+            x: (h.x * inv_z * SUBPIXEL).round() as i32,
+            y: (h.y * inv_z * SUBPIXEL).round() as i32,
+            inv_z: inv_z as f32,
+            outcode,
+        }
+    }
+
+    fn project(&self, point_in_world: &Point3<f64>) -> ScreenVertex {
+        let h = self.homogeneous(point_in_world);
+        Self::snap(&h, self.outcode(&h))
+    }
+}
+
+/// Draws every triangle of `mesh` into `out`, which takes the camera's size.
+pub fn rasterize(
+    mesh: &TriMesh,
+    camera: &PinholeCamera,
+    camera_from_world: &RigidTransform,
+    workspace: &mut RasterWorkspace,
+    out: &mut ViewBuffer,
+) {
+    out.clear(camera.width(), camera.height());
+    let projector = Projector::new(camera, camera_from_world);
+    let vertices = &mut workspace.vertices;
+    vertices.clear();
+    vertices.extend(mesh.positions_m().iter().map(|p| projector.project(p)));
+
+    for (triangle, corners) in (0u32..).zip(mesh.triangles()) {
+        let [a, b, c] = corners.map(|v| vertices[v as usize]);
+        let any = a.outcode | b.outcode | c.outcode;
+        if a.outcode & b.outcode & c.outcode & OUTSIDE != 0 || any & NOT_FINITE != 0 {
+            continue;
+        }
+        if any & (NEAR | GUARD) == 0 {
+            draw([a, b, c], triangle, out);
+        } else {
+            let points = corners.map(|v| projector.homogeneous(&mesh.positions_m()[v as usize]));
+            draw_clipped(points, triangle, out);
+        }
+    }
+
+    for depth_m in &mut out.depth_m {
+        // The buffer holds 1/z while triangles are drawn.
+        *depth_m = if *depth_m > 0.0 { 1.0 / *depth_m } else { 0.0 };
+    }
+}
+
+fn draw_clipped(corners: [Vector3<f64>; 3], triangle: u32, out: &mut ViewBuffer) {
+    let half_spaces: [fn(&Vector3<f64>) -> f64; 5] = [
+        |h| h.z - NEAR_M,
+        |h| GUARD_PX * h.z + h.x,
+        |h| GUARD_PX * h.z - h.x,
+        |h| GUARD_PX * h.z + h.y,
+        |h| GUARD_PX * h.z - h.y,
+    ];
+    let mut polygon = corners.to_vec();
+    let mut clipped = Vec::with_capacity(8);
+    for distance in half_spaces {
+        clip(&polygon, distance, &mut clipped);
+        std::mem::swap(&mut polygon, &mut clipped);
+    }
+    let Some((first, rest)) = polygon.split_first() else {
+        return;
+    };
+    // Rounding may leave a cut point a hair outside of the plane it was cut at.
+    let guarded = |h: &Vector3<f64>| {
+        let z = h.z.max(NEAR_M);
+        let reach = GUARD_PX * z;
+        let inside = Vector3::new(h.x.clamp(-reach, reach), h.y.clamp(-reach, reach), z);
+        Projector::snap(&inside, 0)
+    };
+    for pair in rest.windows(2) {
+        draw(
+            [guarded(first), guarded(&pair[0]), guarded(&pair[1])],
+            triangle,
+            out,
+        );
+    }
+}
+
+/// The part of a convex polygon where `distance` ≥ 0.
+fn clip(
+    polygon: &[Vector3<f64>],
+    distance: impl Fn(&Vector3<f64>) -> f64,
+    out: &mut Vec<Vector3<f64>>,
+) {
+    out.clear();
+    let Some(last) = polygon.last() else { return };
+    let mut previous = (last, distance(last));
+    for point in polygon {
+        let current = (point, distance(point));
+        if (previous.1 >= 0.0) != (current.1 >= 0.0) {
+            let (inner, outer) = if previous.1 >= 0.0 {
+                (previous, current)
+            } else {
+                (current, previous)
+            };
+            let t = inner.1 / (inner.1 - outer.1);
+            let cut = inner.0.lerp(outer.0, t);
+            if cut.iter().all(|v| v.is_finite()) {
+                out.push(cut);
+            }
+        }
+        if current.1 >= 0.0 {
+            out.push(*point);
+        }
+        previous = current;
+    }
+}
+
+/// One edge's function along the raster.
+#[derive(Clone, Copy)]
+struct Edge {
+    /// At the first pixel of the current row; ≥ 0 inside.
+    row: i64,
+    step_x: i64,
+    step_y: i64,
+    /// Value at the first pixel of the first row, without the fill rule's bias.
+    unbiased: i64,
+}
+
+impl Edge {
+    fn new(a: ScreenVertex, b: ScreenVertex, x_px: i64, y_px: i64) -> Self {
+        let [ax, ay, bx, by] = [a.x, a.y, b.x, b.y].map(i64::from);
+        let (dx, dy) = (bx - ax, by - ay);
+        let unbiased = dx * ((y_px << SUBPIXEL_BITS) - ay) - dy * ((x_px << SUBPIXEL_BITS) - ax);
+        // An edge owns the pixel centres on it in one of its two directions only.
+        let owns_ties = dy < 0 || (dy == 0 && dx > 0);
+        Self {
+            row: unbiased - i64::from(!owns_ties),
+            step_x: -dy << SUBPIXEL_BITS,
+            step_y: dx << SUBPIXEL_BITS,
+            unbiased,
+        }
+    }
+}
+
+/// The same corners whatever order they came in: positive area, starting at the top-left one.
+fn canonical(mut corners: [ScreenVertex; 3]) -> Option<([ScreenVertex; 3], i64)> {
+    let [a, b, c] = corners;
+    let delta = |from: i32, to: i32| i64::from(to) - i64::from(from);
+    let area2 = delta(a.x, b.x) * delta(a.y, c.y) - delta(a.x, c.x) * delta(a.y, b.y);
+    if area2 < 0 {
+        corners.swap(1, 2);
+    }
+    let key = |v: &ScreenVertex| (v.y, v.x);
+    let first = (0..3).min_by_key(|&i| key(&corners[i])).unwrap_or(0);
+    corners.rotate_left(first);
+    (area2 != 0).then_some((corners, area2.abs()))
+}
+
+#[expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "pixel indices are clamped to the image; depth is rounded to f32 on purpose"
+)]
+fn draw(corners: [ScreenVertex; 3], triangle: u32, out: &mut ViewBuffer) {
+    let Some(([a, b, c], area2)) = canonical(corners) else {
+        return;
+    };
+    let first_px = |v: i32| i64::from(v).div_euclid(256) + i64::from(v.rem_euclid(256) != 0);
+    let last_px = |v: i32| i64::from(v).div_euclid(256);
+    let x_first = first_px(a.x.min(b.x).min(c.x)).max(0);
+    let x_last = last_px(a.x.max(b.x).max(c.x)).min(i64::from(out.width) - 1);
+    let y_first = first_px(a.y.min(b.y).min(c.y)).max(0);
+    let y_last = last_px(a.y.max(b.y).max(c.y)).min(i64::from(out.height) - 1);
+    if x_first > x_last || y_first > y_last {
+        return;
+    }
+    let mut edges = [(b, c), (c, a), (a, b)].map(|(p, q)| Edge::new(p, q, x_first, y_first));
+
+    let inv_z = [a.inv_z, b.inv_z, c.inv_z];
+    let nearest = inv_z[0].max(inv_z[1]).max(inv_z[2]);
+    let farthest = inv_z[0].min(inv_z[1]).min(inv_z[2]);
+    let weigh = |value: fn(&Edge) -> i64| {
+        let terms: [f64; 3] =
+            std::array::from_fn(|i| value(&edges[i]) as f64 * f64::from(inv_z[i]));
+        (terms[0] + terms[1] + terms[2]) / area2 as f64
+    };
+    let (step_x, step_y) = (weigh(|e| e.step_x), weigh(|e| e.step_y));
+    let mut row_inv_z = weigh(|e| e.unbiased);
+
+    let width = out.width as usize;
+    let box_width = x_last - x_first + 1;
+    for y in y_first..=y_last {
+        let (skip, end) = if box_width > SPAN_WIDTH_PX {
+            span(&edges, box_width)
+        } else {
+            (0, box_width)
+        };
+        if skip < end {
+            let start = y as usize * width + (x_first + skip) as usize;
+            let range = start..start + (end - skip) as usize;
+            let mut e = edges.map(|edge| edge.row + skip * edge.step_x);
+            let mut pixel_inv_z = row_inv_z + skip as f64 * step_x;
+            let pixels = out.depth_m[range.clone()]
+                .iter_mut()
+                .zip(&mut out.triangle[range]);
+            for (stored, id) in pixels {
+                if (e[0] | e[1] | e[2]) >= 0 {
+                    let candidate = (pixel_inv_z as f32).clamp(farthest, nearest);
+                    if candidate > *stored {
+                        *stored = candidate;
+                        *id = triangle;
+                    }
+                }
+                for (value, edge) in e.iter_mut().zip(&edges) {
+                    *value += edge.step_x;
+                }
+                pixel_inv_z += step_x;
+            }
+        }
+        for edge in &mut edges {
+            edge.row += edge.step_y;
+        }
+        row_inv_z += step_y;
+    }
+}
+
+/// Columns of the current row that may be inside, as a half-open range from the first column of
+/// the box; one pixel too many on each side covers the rounding.
+#[expect(
+    clippy::cast_possible_truncation,
+    reason = "clamped to the box; float to int casts saturate"
+)]
+fn span(edges: &[Edge; 3], box_width: i64) -> (i64, i64) {
+    let (mut first, mut end) = (0i64, box_width);
+    for edge in edges {
+        let crossing = -(edge.row as f64) / edge.step_x as f64;
+        match edge.step_x.cmp(&0) {
+            std::cmp::Ordering::Greater => first = first.max(crossing.floor() as i64 - 1),
+            std::cmp::Ordering::Less => end = end.min((crossing.ceil() as i64).saturating_add(2)),
+            std::cmp::Ordering::Equal if edge.row < 0 => return (0, 0),
+            std::cmp::Ordering::Equal => {}
+        }
+    }
+    (first.clamp(0, box_width), end.clamp(0, box_width))
+}
+
+/// Barycentric coordinates of where a ray from the camera meets the plane of a triangle; `None`
+/// where it runs along the plane.
+pub fn barycentric(corners_in_camera: &[Point3<f64>; 3], ray: &Vector3<f64>) -> Option<[f64; 3]> {
+    let [a, b, c] = corners_in_camera.map(|p| p.coords);
+    let volumes = [
+        ray.dot(&b.cross(&c)),
+        ray.dot(&c.cross(&a)),
+        ray.dot(&a.cross(&b)),
+    ];
+    let sum = volumes[0] + volumes[1] + volumes[2];
+    let weights = volumes.map(|v| v / sum);
+    weights.iter().all(|w| w.is_finite()).then_some(weights)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mesh::TriangleId;
+    use nalgebra::{UnitQuaternion, Vector3};
+    use proptest::prelude::*;
+
+    fn draw_view(
+        mesh: &TriMesh,
+        camera: &PinholeCamera,
+        camera_from_world: &RigidTransform,
+    ) -> ViewBuffer {
+        let mut view = ViewBuffer::default();
+        rasterize(
+            mesh,
+            camera,
+            camera_from_world,
+            &mut RasterWorkspace::default(),
+            &mut view,
+        );
+        view
+    }
+
+    fn mesh_of(positions: Vec<[f64; 3]>, triangles: Vec<[u32; 3]>) -> TriMesh {
+        let positions = positions.into_iter().map(Point3::from).collect();
+        TriMesh::from_soup(positions, triangles).unwrap().0
+    }
+
+    fn camera() -> PinholeCamera {
+        PinholeCamera::new([90.0, 95.0, 48.3, 35.1], 96, 72).unwrap()
+    }
+
+    /// All hits of a ray, by Möller and Trumbore, in f64: (depth along z, triangle, smallest
+    /// barycentric weight).
+    fn intersect_all(
+        mesh: &TriMesh,
+        pose: &RigidTransform,
+        ray: &Vector3<f64>,
+    ) -> Vec<(f64, u32, f64)> {
+        let mut hits = vec![];
+        for id in mesh.triangle_ids() {
+            let [a, b, c] = mesh.corners_m(id).map(|p| pose.transform_point(&p));
+            let (ab, ac) = (b - a, c - a);
+            let p = ray.cross(&ac);
+            let det = ab.dot(&p);
+            if det.abs() < 1e-14 {
+                continue;
+            }
+            let s = -a.coords;
+            let u = s.dot(&p) / det;
+            let q = s.cross(&ab);
+            let v = ray.dot(&q) / det;
+            let depth_m = ac.dot(&q) / det;
+            if depth_m >= NEAR_M {
+                hits.push((depth_m, id.0, u.min(v).min(1.0 - u - v)));
+            }
+        }
+        hits
+    }
+
+    /// Distance in pixels from a pixel to the nearest projected edge that is in front.
+    fn distance_to_edges_px(
+        mesh: &TriMesh,
+        camera: &PinholeCamera,
+        pose: &RigidTransform,
+        [x, y]: [f64; 2],
+    ) -> f64 {
+        let mut nearest = f64::INFINITY;
+        for id in mesh.triangle_ids() {
+            let corners = mesh.corners_m(id).map(|p| pose.transform_point(&p));
+            for i in 0..3 {
+                let (mut a, mut b) = (corners[i], corners[(i + 1) % 3]);
+                if a.z < b.z {
+                    std::mem::swap(&mut a, &mut b);
+                }
+                if a.z <= NEAR_M {
+                    continue;
+                }
+                if b.z < NEAR_M {
+                    b = a + (b - a) * ((a.z - NEAR_M) / (a.z - b.z));
+                }
+                let project = |p: &Point3<f64>| nalgebra::Vector2::from(camera.project(p).unwrap());
+                let (p, q) = (project(&a), project(&b));
+                let pixel = nalgebra::Vector2::new(x, y);
+                let t =
+                    ((pixel - p).dot(&(q - p)) / (q - p).norm_squared().max(1e-30)).clamp(0.0, 1.0);
+                nearest = nearest.min((p + (q - p) * t - pixel).norm());
+            }
+        }
+        nearest
+    }
+
+    fn random_scene(seed: u64, num_triangles: usize, spread: f64) -> TriMesh {
+        let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
+        let mut next = || {
+            state ^= state << 13;
+            state ^= state >> 7;
+            state ^= state << 17;
+            (state >> 11) as f64 / (1u64 << 53) as f64
+        };
+        let mut positions = vec![];
+        let mut triangles = vec![];
+        for i in 0..num_triangles {
+            let center = [next() * 4.0 - 2.0, next() * 4.0 - 2.0, next() * 5.0 - 0.5];
+            for _ in 0..3 {
+                positions.push(center.map(|c| c + (next() - 0.5) * spread));
+            }
+            let first = (3 * i) as u32;
+            triangles.push([first, first + 1, first + 2]);
+        }
+        mesh_of(positions, triangles)
+    }
+
+    #[test]
+    fn ids_and_depths_agree_with_ray_casting_away_from_edges() {
+        let camera = camera();
+        for seed in 1..5 {
+            let mesh = random_scene(seed, 60, [0.3, 1.5, 4.0, 12.0][seed as usize - 1]);
+            let pose = RigidTransform::from_parts(
+                UnitQuaternion::from_euler_angles(0.1, -0.2, 0.3 * seed as f64),
+                Vector3::new(0.1, -0.1, 0.4),
+            );
+            let view = draw_view(&mesh, &camera, &pose);
+            let mut num_checked = 0;
+            for y in 0..camera.height() {
+                for x in 0..camera.width() {
+                    let pixel = [f64::from(x), f64::from(y)];
+                    if distance_to_edges_px(&mesh, &camera, &pose, pixel) < 0.02 {
+                        continue;
+                    }
+                    let mut hits: Vec<_> =
+                        intersect_all(&mesh, &pose, &camera.ray(pixel[0], pixel[1]))
+                            .into_iter()
+                            .filter(|hit| hit.2 >= 0.0)
+                            .collect();
+                    hits.sort_by(|a, b| a.0.total_cmp(&b.0));
+                    let index = (y * camera.width() + x) as usize;
+                    num_checked += 1;
+                    let Some(&(depth_m, id, _)) = hits.first() else {
+                        assert_eq!(
+                            view.triangle[index], NO_TRIANGLE,
+                            "seed {seed} at {pixel:?}"
+                        );
+                        assert_eq!(view.depth_m[index], 0.0);
+                        continue;
+                    };
+                    // Snapping moves depth by 1/512 px of slope; steep triangles feel it.
+                    let tolerance_m = 0.02 * depth_m;
+                    let rival = hits.get(1).is_some_and(|h| h.0 < depth_m + tolerance_m);
+                    if !rival {
+                        assert_eq!(
+                            view.triangle[index], id,
+                            "seed {seed} at {pixel:?}: {hits:?}"
+                        );
+                        assert!((f64::from(view.depth_m[index]) - depth_m).abs() < tolerance_m);
+                    }
+                }
+            }
+            assert!(
+                num_checked > 5000,
+                "only {num_checked} pixels are away from edges"
+            );
+        }
+    }
+
+    #[test]
+    fn depth_of_a_slanted_plane_is_analytic() {
+        let camera = camera();
+        // z = 2 + 0.5 x − 0.3 y, spanned far beyond the view.
+        let z = |x: f64, y: f64| 2.0 + 0.5 * x - 0.3 * y;
+        let corners = [[-3.0, -3.0], [3.0, -3.0], [3.0, 3.0], [-3.0, 3.0]];
+        let mesh = mesh_of(
+            corners.map(|[x, y]| [x, y, z(x, y)]).to_vec(),
+            vec![[0, 1, 2], [0, 3, 2]],
+        );
+        let view = draw_view(&mesh, &camera, &RigidTransform::identity());
+        for y in 0..72u32 {
+            for x in 0..96u32 {
+                let ray = camera.ray(f64::from(x), f64::from(y));
+                let expected = 2.0 / (1.0 - 0.5 * ray.x + 0.3 * ray.y);
+                let index = (y * 96 + x) as usize;
+                assert_ne!(view.triangle[index], NO_TRIANGLE);
+                let error = (f64::from(view.depth_m[index]) - expected).abs();
+                assert!(error < 1e-4, "{error} m at {x}, {y}");
+            }
+        }
+    }
+
+    #[test]
+    fn triangles_around_a_vertex_tile_the_view_without_gaps() {
+        let camera = camera();
+        let mut positions = vec![[0.013, -0.021, 1.0]];
+        let mut triangles = vec![];
+        for i in 0..37u32 {
+            let angle = f64::from(i) / 37.0 * std::f64::consts::TAU;
+            positions.push([
+                5.0 * angle.cos(),
+                5.0 * angle.sin(),
+                1.0 + 0.2 * f64::from(i % 3),
+            ]);
+            triangles.push([0, i + 1, (i + 1) % 37 + 1]);
+        }
+        let view = draw_view(
+            &mesh_of(positions, triangles),
+            &camera,
+            &RigidTransform::identity(),
+        );
+        assert!(view.triangle.iter().all(|&t| t != NO_TRIANGLE));
+    }
+
+    #[test]
+    fn equal_depths_go_to_the_lowest_id_whatever_the_corner_order() {
+        let positions = vec![[-1.0, -1.0, 2.0], [1.0, -0.9, 2.5], [0.2, 1.0, 3.0]];
+        let orders = [[2, 1, 0], [0, 1, 2], [1, 2, 0], [2, 0, 1]];
+        let view = draw_view(
+            &mesh_of(positions, orders.to_vec()),
+            &camera(),
+            &RigidTransform::identity(),
+        );
+        assert!(view.triangle.contains(&0));
+        assert!(view.triangle.iter().all(|&t| t == 0 || t == NO_TRIANGLE));
+    }
+
+    #[test]
+    fn a_floor_through_the_camera_plane_is_clipped_at_the_near_plane() {
+        let camera = camera();
+        let mesh = mesh_of(
+            vec![[-50.0, 1.0, -50.0], [50.0, 1.0, -50.0], [0.0, 1.0, 80.0]],
+            vec![[0, 1, 2]],
+        );
+        let view = draw_view(&mesh, &camera, &RigidTransform::identity());
+        for y in 0..72u32 {
+            let ray = camera.ray(48.0, f64::from(y));
+            let index = (y * 96 + 48) as usize;
+            let expected = 1.0 / ray.y;
+            if ray.y > 0.02 {
+                let relative = (f64::from(view.depth_m[index]) - expected).abs() / expected;
+                assert!(relative < 2e-3, "{relative} in row {y}");
+            } else if ray.y < 0.0 {
+                assert_eq!(view.triangle[index], NO_TRIANGLE);
+            }
+        }
+    }
+
+    #[test]
+    fn barycentrics_of_a_ray_return_its_point() {
+        let corners = [[-1.0, -1.0, 2.0], [2.0, -1.0, 3.0], [0.0, 2.0, 5.0]].map(Point3::from);
+        let expected = [0.2, 0.5, 0.3];
+        let point = corners[0].coords * 0.2 + corners[1].coords * 0.5 + corners[2].coords * 0.3;
+        let weights = barycentric(&corners, &(point / point.z)).unwrap();
+        for (weight, expected) in weights.iter().zip(expected) {
+            assert!((weight - expected).abs() < 1e-12);
+        }
+        let flat = [Point3::origin(); 3];
+        assert_eq!(barycentric(&flat, &Vector3::z()), None);
+    }
+
+    proptest! {
+        #[test]
+        fn no_mesh_makes_it_panic(
+            coordinates in prop::collection::vec(
+                prop_oneof![
+                    -2.0..2.0f64,
+                    -1e-9..1e-9f64,
+                    -1e9..1e9f64,
+                    Just(0.0), Just(NEAR_M), Just(1e300), Just(-1e300), Just(f64::MAX), Just(1e-300),
+                ], 9..60),
+            order in prop::collection::vec(0usize..1000, 3..30),
+        ) {
+            let positions: Vec<[f64; 3]> =
+                coordinates.chunks_exact(3).map(|c| [c[0], c[1], c[2]]).collect();
+            let num = positions.len();
+            let triangles = order.chunks_exact(3)
+                .map(|c| [c[0], c[1], c[2]].map(|i| (i % num) as u32)).collect();
+            let mesh = mesh_of(positions, triangles);
+            let view = draw_view(&mesh, &camera(), &RigidTransform::identity());
+            for (&id, &depth_m) in view.triangle.iter().zip(&view.depth_m) {
+                prop_assert_eq!(id == NO_TRIANGLE, depth_m == 0.0);
+                prop_assert!(depth_m == 0.0 || f64::from(depth_m) >= NEAR_M * 0.999);
+                if id != NO_TRIANGLE {
+                    let far = mesh.corners_m(TriangleId(id)).iter().map(|p| p.z).fold(0.0, f64::max);
+                    prop_assert!(f64::from(depth_m) <= far * 1.001 + 1e-6);
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,214 @@
+//! A view of the textured mesh, as a viewer would show it.
+//!
+//! Texture coordinates are perspective-correct (barycentrics of the pixel's ray on the triangle's
+//! plane); texels are looked up bilinearly with their centres at halves, in sRGB as most viewers
+//! do. With supersampling n, n×n samples a pixel are averaged in linear light.
+//!
+//! A pixel is in the mask when at least half of its samples hit a triangle at a texel that was
+//! painted; its colour is the mean over those samples. All other pixels are black.
+
+use nalgebra::Point3;
+use rayon::prelude::*;
+
+use crate::atlas::{AtlasLayout, AtlasTexture, TexelSource, TexturePage};
+use crate::geom::color::{linear_from_srgb, srgb_from_linear};
+use crate::geom::{ColorImage, ImageError, PinholeCamera, RigidTransform};
+use crate::mesh::{TriMesh, TriangleId};
+
+use super::raster::{NO_TRIANGLE, RasterWorkspace, ViewBuffer, barycentric, rasterize};
+
+/// How views are rendered.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RenderParams {
+    /// Samples along each side of a pixel, 1..=4.
+    pub supersampling: u32,
+}
+
+impl Default for RenderParams {
+    fn default() -> Self {
+        Self { supersampling: 2 }
+    }
+}
+
+/// A rendered picture.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RenderedView {
+    /// The picture, black where `mask` is false.
+    pub color: ColorImage,
+    /// Per pixel, row-major: whether the textured mesh was seen there.
+    pub mask: Vec<bool>,
+}
+
+/// Renders `mesh` with its atlas. A triangle that the layout does not know, or whose page is
+/// missing, is left out of the picture and still hides what is behind it.
+///
+/// # Errors
+/// [`ImageError::Size`] when the supersampled view is too large.
+pub fn render_textured(
+    mesh: &TriMesh,
+    layout: &AtlasLayout,
+    texture: &AtlasTexture,
+    camera: &PinholeCamera,
+    camera_from_world: &RigidTransform,
+    params: &RenderParams,
+) -> Result<RenderedView, ImageError> {
+    let samples = params.supersampling.clamp(1, 4);
+    let (width, height) = (camera.width(), camera.height());
+    let fine = camera
+        .resized(width * samples, height * samples)
+        .map_err(|_| ImageError::Size {
+            width: width * samples,
+            height: height * samples,
+        })?;
+    let mut view = ViewBuffer::default();
+    rasterize(
+        mesh,
+        &fine,
+        camera_from_world,
+        &mut RasterWorkspace::default(),
+        &mut view,
+    );
+
+    let shader = Shader {
+        mesh,
+        layout,
+        texture,
+        camera: fine,
+        camera_from_world: *camera_from_world,
+    };
+    let rows: Vec<Vec<Option<[u8; 3]>>> = (0..height)
+        .into_par_iter()
+        .map(|y| {
+            (0..width)
+                .map(|x| shader.pixel(&view, [x, y], samples))
+                .collect()
+        })
+        .collect();
+    let pixels: Vec<Option<[u8; 3]>> = rows.into_iter().flatten().collect();
+    let mask = pixels.iter().map(Option::is_some).collect();
+    let colors = pixels.into_iter().map(Option::unwrap_or_default).collect();
+    Ok(RenderedView {
+        color: ColorImage::new(width, height, colors)?,
+        mask,
+    })
+}
+
+struct Shader<'a> {
+    mesh: &'a TriMesh,
+    layout: &'a AtlasLayout,
+    texture: &'a AtlasTexture,
+    /// The camera of the samples.
+    camera: PinholeCamera,
+    camera_from_world: RigidTransform,
+}
+
+impl Shader<'_> {
+    fn pixel(&self, view: &ViewBuffer, [x, y]: [u32; 2], samples: u32) -> Option<[u8; 3]> {
+        let mut sum = [0.0f32; 3];
+        let mut last = [0.0f32; 3];
+        let mut num_hits = 0u16;
+        for sample in 0..samples * samples {
+            let [sx, sy] = [
+                x * samples + sample % samples,
+                y * samples + sample / samples,
+            ];
+            let index = sy as usize * view.width as usize + sx as usize;
+            let triangle = view.triangle[index];
+            if triangle == NO_TRIANGLE {
+                continue;
+            }
+            if let Some(srgb) = self.sample(TriangleId(triangle), [sx, sy]) {
+                num_hits += 1;
+                last = srgb;
+                for (sum, value) in sum.iter_mut().zip(srgb) {
+                    *sum += linear_from_srgb(round_byte(value));
+                }
+            }
+        }
+        if num_hits == 0 || 2 * u32::from(num_hits) < samples * samples {
+            return None;
+        }
+        Some(if num_hits == 1 {
+            last.map(round_byte)
+        } else {
+            sum.map(|sum| srgb_from_linear(sum / f32::from(num_hits)))
+        })
+    }
+
+    /// sRGB in 0–255 of the surface at a sample.
+    fn sample(&self, triangle: TriangleId, [x, y]: [u32; 2]) -> Option<[f32; 3]> {
+        let corners_texel = self.layout.corners_texel.get(triangle.index())?;
+        let chart = self.layout.chart_of_triangle.get(triangle.index())?;
+        let page_index = self.layout.charts.get(chart.index())?.page;
+        let page = self.texture.pages.get(page_index as usize)?;
+        let corners: [Point3<f64>; 3] = self
+            .mesh
+            .corners_m(triangle)
+            .map(|corner| self.camera_from_world.transform_point(&corner));
+        let ray = self.camera.ray(f64::from(x), f64::from(y));
+        let weights = inside(barycentric(&corners, &ray).unwrap_or([1.0 / 3.0; 3]));
+        #[expect(clippy::cast_possible_truncation, reason = "rounding to f32 is meant")]
+        let position_texel: [f32; 2] = std::array::from_fn(|axis| {
+            let terms: [f64; 3] =
+                std::array::from_fn(|i| weights[i] * f64::from(corners_texel[i][axis]));
+            (terms[0] + terms[1] + terms[2]) as f32
+        });
+        sample_page(page, position_texel)
+    }
+}
+
+/// The nearest weights of a point of the triangle: coverage was decided on a sub-pixel grid, so
+/// the ray may miss the triangle by a hair, and by more when the triangle is seen edge-on.
+fn inside(weights: [f64; 3]) -> [f64; 3] {
+    let clamped = weights.map(|w| w.clamp(0.0, 1.0));
+    let sum = clamped[0] + clamped[1] + clamped[2];
+    clamped.map(|w| w / sum)
+}
+
+#[expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "clamped; float to int casts saturate"
+)]
+fn round_byte(value: f32) -> u8 {
+    (value + 0.5) as u8
+}
+
+/// Bilinear lookup in sRGB bytes' scale (0–255) at a position in texels, clamped to the page;
+/// nothing where the nearest texel was never painted.
+#[expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "clamped to the page before the casts"
+)]
+pub fn sample_page(page: &TexturePage, [x_texel, y_texel]: [f32; 2]) -> Option<[f32; 3]> {
+    let (max_x, max_y) = (page.width.checked_sub(1)?, page.height.checked_sub(1)?);
+    let x = (x_texel - 0.5).clamp(0.0, max_x as f32);
+    let y = (y_texel - 0.5).clamp(0.0, max_y as f32);
+    let (x0, y0) = (x as u32, y as u32);
+    let (fx, fy) = (x - x0 as f32, y - y0 as f32);
+    let index =
+        |x: u32, y: u32| y.min(max_y) as usize * page.width as usize + x.min(max_x) as usize;
+    let nearest = index(x0 + u32::from(fx >= 0.5), y0 + u32::from(fy >= 0.5));
+    if *page.source.get(nearest)? == TexelSource::NONE {
+        return None;
+    }
+    let texels = [
+        (index(x0, y0), (1.0 - fx) * (1.0 - fy)),
+        (index(x0 + 1, y0), fx * (1.0 - fy)),
+        (index(x0, y0 + 1), (1.0 - fx) * fy),
+        (index(x0 + 1, y0 + 1), fx * fy),
+    ];
+    let mut sum = [0.0f32; 3];
+    let mut total = 0.0f32;
+    for (index, weight) in texels {
+        // Texels that nothing was painted on have no colour to give.
+        if *page.source.get(index)? != TexelSource::NONE {
+            total += weight;
+            for (sum, &byte) in sum.iter_mut().zip(page.srgb.get(index)?) {
+                *sum += weight * f32::from(byte);
+            }
+        }
+    }
+    Some(sum.map(|sum| sum / total))
+}

@@ -1,0 +1,258 @@
+//! Which surface points a camera sees, by the depth of the mesh itself.
+//!
+//! The mesh is drawn into a [`ViewBuffer`] at the camera's resolution or below
+//! ([`VisibilityParams::max_width_px`]). A point is visible when no drawn surface lies in front of
+//! it by more than a tolerance, which grows with depth and with the slope of the point's own
+//! surface: a buffer pixel's depth is that of its centre, up to 0.71 px away. Surfaces that are
+//! closer to one another than the tolerance do not hide each other.
+//!
+//! Depth edges: the nearest and farthest depth within a window say whether the picture of a point
+//! lies close to the outline of something in front of it, or to the outline of its own object.
+//! There, small errors of pose or mesh paint the one surface with the other's colour.
+
+use nalgebra::{Point3, Vector3};
+
+use crate::geom::camera::CameraError;
+use crate::geom::{PinholeCamera, RigidTransform};
+use crate::mesh::TriMesh;
+
+use super::raster::{NO_TRIANGLE, RasterWorkspace, ViewBuffer, rasterize};
+
+/// How visibility is decided.
+#[derive(Clone, Debug, PartialEq)]
+pub struct VisibilityParams {
+    /// The longer side of the buffer is at most this, pixels (≥ 16).
+    pub max_width_px: u32,
+    /// A surface hides a point from this distance on, metres (≥ 0).
+    pub tolerance_m: f64,
+    /// The same as a share of depth (≥ 0); both are added.
+    pub relative_tolerance: f64,
+    /// Depth steps above this share of depth (and three times the tolerance) are edges.
+    pub edge_step: f64,
+    /// Half-width of the window in which depth edges are looked for, in pixels of a buffer of 640
+    /// columns; 0 looks for none.
+    pub edge_margin_px: u32,
+}
+
+impl Default for VisibilityParams {
+    fn default() -> Self {
+        Self {
+            max_width_px: 640,
+            tolerance_m: 0.01,
+            relative_tolerance: 0.01,
+            edge_step: 0.04,
+            edge_margin_px: 3,
+        }
+    }
+}
+
+/// A point of a surface as a camera sees it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SurfacePoint {
+    /// Pixel of the full-size camera.
+    pub position_px: [f64; 2],
+    /// Depth along z, metres.
+    pub depth_m: f64,
+    /// Change of depth per pixel of the full-size camera, metres (≥ 0).
+    pub slope_m: f64,
+}
+
+/// Depth of the mesh from one camera, with what visibility tests need.
+#[derive(Clone, Debug, Default)]
+pub struct VisibilityBuffer {
+    raster: RasterWorkspace,
+    view: ViewBuffer,
+    /// Lowest depth within the window; infinite where it is empty.
+    nearest_m: Vec<f32>,
+    /// Greatest depth within the window; 0 where it is empty.
+    farthest_m: Vec<f32>,
+    scratch_m: Vec<f32>,
+    scale: [f64; 2],
+    params: VisibilityParams,
+}
+
+impl VisibilityBuffer {
+    /// Draws the mesh as `camera` sees it.
+    ///
+    /// # Errors
+    /// [`CameraError`] when the camera cannot be scaled to the buffer's size.
+    pub fn update(
+        &mut self,
+        mesh: &TriMesh,
+        camera: &PinholeCamera,
+        camera_from_world: &RigidTransform,
+        params: &VisibilityParams,
+    ) -> Result<(), CameraError> {
+        let [width, height] = buffer_size(camera, params.max_width_px);
+        let scaled = camera.resized(width, height)?;
+        rasterize(
+            mesh,
+            &scaled,
+            camera_from_world,
+            &mut self.raster,
+            &mut self.view,
+        );
+        self.scale = [
+            f64::from(width) / f64::from(camera.width()),
+            f64::from(height) / f64::from(camera.height()),
+        ];
+        self.params = params.clone();
+        if params.edge_margin_px > 0 {
+            self.spread_extremes();
+        }
+        Ok(())
+    }
+
+    /// The view that the tests read.
+    pub fn view(&self) -> &ViewBuffer {
+        &self.view
+    }
+
+    /// Pixels of the buffer per pixel of the full-size camera, in area.
+    pub fn area_scale(&self) -> f64 {
+        self.scale[0] * self.scale[1]
+    }
+
+    /// Whether nothing hides the point. Points whose pixel is outside of the image are hidden.
+    pub fn is_visible(&self, point: &SurfacePoint) -> bool {
+        self.pixel_index(point.position_px).is_some_and(|index| {
+            let surface_m = f64::from(self.view.depth_m[index]);
+            self.view.triangle[index] == NO_TRIANGLE
+                || point.depth_m <= surface_m + self.tolerance_m(point, 1.5)
+        })
+    }
+
+    /// Whether the point's picture lies close to a step in depth.
+    pub fn is_near_depth_edge(&self, point: &SurfacePoint) -> bool {
+        if self.params.edge_margin_px == 0 {
+            return false;
+        }
+        self.pixel_index(point.position_px).is_some_and(|index| {
+            let reach_px = f64::from(self.margin_px()) + 1.5;
+            let step_m = self.params.edge_step * point.depth_m
+                + 2.0 * self.params.tolerance_m
+                + self.tolerance_m(point, reach_px);
+            let nearest_m = f64::from(self.nearest_m[index]);
+            let farthest_m = f64::from(self.farthest_m[index]);
+            nearest_m + step_m < point.depth_m || farthest_m > point.depth_m + step_m
+        })
+    }
+
+    fn tolerance_m(&self, point: &SurfacePoint, reach_px: f64) -> f64 {
+        self.params.tolerance_m
+            + self.params.relative_tolerance * point.depth_m
+            + point.slope_m * reach_px / self.scale[0].min(self.scale[1]).max(1e-9)
+    }
+
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "range-checked before the casts"
+    )]
+    fn pixel_index(&self, [x_px, y_px]: [f64; 2]) -> Option<usize> {
+        let x = ((x_px + 0.5) * self.scale[0]).floor();
+        let y = ((y_px + 0.5) * self.scale[1]).floor();
+        let (width, height) = (f64::from(self.view.width), f64::from(self.view.height));
+        (x >= 0.0 && y >= 0.0 && x < width && y < height)
+            .then(|| y as usize * self.view.width as usize + x as usize)
+    }
+
+    fn margin_px(&self) -> u32 {
+        let reference = u64::from(self.params.edge_margin_px) * u64::from(self.view.width);
+        u32::try_from(reference.div_ceil(640))
+            .unwrap_or(u32::MAX)
+            .clamp(1, 64)
+    }
+
+    fn spread_extremes(&mut self) {
+        let [width, height] = [self.view.width, self.view.height].map(|side| side as usize);
+        let margin = self.margin_px() as usize;
+        let depth_m = &self.view.depth_m;
+        self.farthest_m.clone_from(depth_m);
+        spread(
+            &mut self.farthest_m,
+            &mut self.scratch_m,
+            [width, height],
+            margin,
+            f32::max,
+        );
+        self.nearest_m.clear();
+        self.nearest_m.extend(
+            depth_m
+                .iter()
+                .map(|&d| if d > 0.0 { d } else { f32::INFINITY }),
+        );
+        spread(
+            &mut self.nearest_m,
+            &mut self.scratch_m,
+            [width, height],
+            margin,
+            f32::min,
+        );
+    }
+}
+
+/// Replaces each value by the extreme over the square window of half-width `margin`.
+fn spread(
+    values: &mut Vec<f32>,
+    scratch: &mut Vec<f32>,
+    [width, height]: [usize; 2],
+    margin: usize,
+    extreme: fn(f32, f32) -> f32,
+) {
+    scratch.clone_from(values);
+    for (row, wide) in values
+        .chunks_exact(width)
+        .zip(scratch.chunks_exact_mut(width))
+    {
+        for shift in 1..=margin.min(width.saturating_sub(1)) {
+            for (out, &value) in wide.iter_mut().zip(&row[shift..]) {
+                *out = extreme(*out, value);
+            }
+            for (out, &value) in wide[shift..].iter_mut().zip(row) {
+                *out = extreme(*out, value);
+            }
+        }
+    }
+    values.clone_from(scratch);
+    for y in 0..height {
+        let window = y.saturating_sub(margin)..(y + margin + 1).min(height);
+        let out = &mut values[y * width..(y + 1) * width];
+        for other in window {
+            let row = &scratch[other * width..(other + 1) * width];
+            for (out, &value) in out.iter_mut().zip(row) {
+                *out = extreme(*out, value);
+            }
+        }
+    }
+}
+
+fn buffer_size(camera: &PinholeCamera, max_side_px: u32) -> [u32; 2] {
+    let (width, height) = (camera.width(), camera.height());
+    let longer = width.max(height);
+    let limit = max_side_px.max(16);
+    if longer <= limit {
+        return [width, height];
+    }
+    [width, height].map(|side| {
+        let scaled = u64::from(side) * u64::from(limit) / u64::from(longer);
+        u32::try_from(scaled).unwrap_or(limit).max(1)
+    })
+}
+
+/// Change of depth per pixel of a plane, at a point on it, metres; infinite when seen edge-on.
+pub fn depth_slope_m(
+    camera: &PinholeCamera,
+    point_in_camera: &Point3<f64>,
+    normal_in_camera: &Vector3<f64>,
+) -> f64 {
+    let [fx, fy, _, _] = camera.intrinsics_px();
+    let along_ray = normal_in_camera.dot(&point_in_camera.coords);
+    let steepness = (normal_in_camera.x / fx).hypot(normal_in_camera.y / fy);
+    let slope_m = point_in_camera.z * point_in_camera.z * steepness / along_ray.abs();
+    if slope_m.is_nan() {
+        f64::INFINITY
+    } else {
+        slope_m
+    }
+}

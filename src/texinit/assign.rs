@@ -1,0 +1,672 @@
+//! Which frame paints which triangle.
+//!
+//! Input: a mesh of N triangles in the world frame and F posed frames. Output: per triangle the
+//! frame with the best score ψ = ω1·C1 + ω2·C2 + ω3·C3 + our own terms, or none (Zhao, Zhao,
+//! Schwing, ECCV 2022, Eq. MRFTex; the appendix' pairwise cue C4 is [`AssignParams::pairwise`]).
+//!
+//! - Validity: the three vertices lie inside the image with positive depth; the centroid, a convex
+//!   combination, then does too.
+//! - C1: area of the projected triangle in px². As the paper has it, its weight against the other
+//!   cues grows with the resolution of the images; [`AssignParams::reference_width_px`] counts
+//!   pixels as if each image were that wide.
+//! - C2: the largest difference over the vertices and the centroid between the measured and the
+//!   predicted distance from the depth camera, metres, at the nearest depth pixel.
+//! - C3: distance in RGB ([0, 1] per channel, sRGB) between the mean colour at the vertices
+//!   (nearest pixel) in this frame and its mean over the frames.
+//! - Ours: occlusion by the mesh itself, depth edges, image border, grazing views, back faces,
+//!   sharpness and exposure of the frame, and the resolution as pixels per metre, which C1 loses
+//!   when triangles are small.
+//!
+//! Scores separate per (triangle, frame); what couples frames is one colour sum per triangle, in
+//! integers, and one median per quality figure. Frames may therefore be added one by one and in
+//! any order ([`label::CandidateTable`]), with the result of the batch to the last bit.
+//!
+//! Memory: 16 bytes per (triangle, frame) in view and not beaten by the empty label: a frame costs
+//! about what its JPEG costs.
+
+pub mod cues;
+pub mod label;
+pub mod pairwise;
+pub mod validity;
+
+use std::sync::Arc;
+
+use rayon::prelude::*;
+
+use crate::geom::{ImageError, RigidTransform};
+use crate::keyframe::{DecodedFrame, FrameQuality, Keyframe};
+use crate::mesh::TriMesh;
+use crate::render::VisibilityParams;
+
+use cues::FrameCandidates;
+use label::CandidateTable;
+use pairwise::PairwiseParams;
+
+/// Which frames the mean colour of cue C3 runs over.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ColorReference {
+    /// Per triangle, the frames that see it.
+    SeeingFrames,
+    /// Per vertex, the frames that are valid for any triangle at it, occluded or not (the
+    /// authors' program).
+    ValidFrames,
+}
+
+/// How frames are scored. Scores are dimensionless; larger is better.
+#[derive(Clone, Debug, PartialEq)]
+pub struct AssignParams {
+    /// ω1 of C1, per px² (≥ 0).
+    pub area_weight: f32,
+    /// ω2 of C2, per metre (≤ 0).
+    pub depth_weight: f32,
+    /// ω3 of C3, per unit of RGB distance (≤ 0).
+    pub color_weight: f32,
+    /// Score of painting nothing.
+    pub empty_score: f32,
+    /// C1 counts pixels of an image of this width; `None` takes the image's own.
+    pub reference_width_px: Option<u32>,
+    /// C2 from here on is a rejection, metres.
+    pub max_depth_difference_m: f32,
+    /// C2 of a rejection, metres.
+    pub rejected_depth_difference_m: f32,
+    /// C2 where nothing was measured, metres.
+    pub unmeasured_depth_difference_m: f32,
+    /// What C3 compares with.
+    pub color_reference: ColorReference,
+    /// The mesh hides what lies behind it; `None` trusts the measured depth alone.
+    pub visibility: Option<VisibilityParams>,
+    /// Taken off for a depth edge nearby (≥ 0).
+    pub depth_edge_penalty: f32,
+    /// Taken off in proportion to the hidden share of a large triangle (≥ 0).
+    pub hidden_penalty: f32,
+    /// Vertices keep this distance from the border of the image, share of its width (0–0.2).
+    pub border_margin: f32,
+    /// Views flatter than this to the surface are grazing, rad (0–π/2).
+    pub min_elevation_rad: f32,
+    /// Taken off grazing views (≥ 0).
+    pub grazing_penalty: f32,
+    /// Taken off views of a triangle's back (≥ 0).
+    pub back_face_penalty: f32,
+    /// Per doubling of the pixels per metre (≥ 0).
+    pub resolution_weight: f32,
+    /// Per halving of the sharpness against the median frame (≥ 0).
+    pub sharpness_weight: f32,
+    /// Per unit of mean luma away from the median frame, and of share clipped (≥ 0).
+    pub exposure_weight: f32,
+    /// Reward for equal frames on adjacent triangles (C4); `None` decides each triangle alone.
+    pub pairwise: Option<PairwiseParams>,
+}
+
+impl Default for AssignParams {
+    fn default() -> Self {
+        Self {
+            reference_width_px: Some(640),
+            unmeasured_depth_difference_m: 0.1,
+            color_reference: ColorReference::SeeingFrames,
+            visibility: Some(VisibilityParams::default()),
+            depth_edge_penalty: 2.0,
+            hidden_penalty: 4.0,
+            border_margin: 0.005,
+            min_elevation_rad: 0.2,
+            grazing_penalty: 3.0,
+            back_face_penalty: 5.0,
+            resolution_weight: 0.3,
+            sharpness_weight: 0.2,
+            exposure_weight: 1.0,
+            pairwise: Some(PairwiseParams::default()),
+            ..Self::paper()
+        }
+    }
+}
+
+impl AssignParams {
+    /// The paper's cues and weights, with the published program's choices where the text is
+    /// silent, and nothing of ours.
+    pub fn paper() -> Self {
+        Self {
+            area_weight: 1e-3,
+            depth_weight: -10.0,
+            color_weight: -1.0,
+            empty_score: -15.0,
+            reference_width_px: None,
+            max_depth_difference_m: 0.25,
+            rejected_depth_difference_m: 5.0,
+            unmeasured_depth_difference_m: 5.0,
+            color_reference: ColorReference::ValidFrames,
+            visibility: None,
+            depth_edge_penalty: 0.0,
+            hidden_penalty: 0.0,
+            border_margin: 0.0,
+            min_elevation_rad: 0.0,
+            grazing_penalty: 0.0,
+            back_face_penalty: 0.0,
+            resolution_weight: 0.0,
+            sharpness_weight: 0.0,
+            exposure_weight: 0.0,
+            pairwise: None,
+        }
+    }
+
+    fn check(&self) -> Result<(), AssignError> {
+        let rules = [
+            ("area_weight", self.area_weight, self.area_weight >= 0.0),
+            ("depth_weight", self.depth_weight, self.depth_weight <= 0.0),
+            ("color_weight", self.color_weight, self.color_weight <= 0.0),
+            ("empty_score", self.empty_score, self.empty_score <= 0.0),
+            (
+                "max_depth_difference_m",
+                self.max_depth_difference_m,
+                self.max_depth_difference_m > 0.0,
+            ),
+            (
+                "border_margin",
+                self.border_margin,
+                (0.0..=0.2).contains(&self.border_margin),
+            ),
+            (
+                "min_elevation_rad",
+                self.min_elevation_rad,
+                (0.0..=std::f32::consts::FRAC_PI_2).contains(&self.min_elevation_rad),
+            ),
+            (
+                "resolution_weight",
+                self.resolution_weight,
+                self.resolution_weight >= 0.0,
+            ),
+        ];
+        let non_negative = [
+            (
+                "rejected_depth_difference_m",
+                self.rejected_depth_difference_m,
+            ),
+            (
+                "unmeasured_depth_difference_m",
+                self.unmeasured_depth_difference_m,
+            ),
+            ("depth_edge_penalty", self.depth_edge_penalty),
+            ("hidden_penalty", self.hidden_penalty),
+            ("grazing_penalty", self.grazing_penalty),
+            ("back_face_penalty", self.back_face_penalty),
+            ("sharpness_weight", self.sharpness_weight),
+            ("exposure_weight", self.exposure_weight),
+        ]
+        .map(|(name, value)| (name, value, value >= 0.0));
+        let refused = rules
+            .into_iter()
+            .chain(non_negative)
+            .find(|(_, value, is_fine)| !is_fine || !value.is_finite());
+        match refused {
+            Some((name, value, _)) => Err(AssignError::Param { name, value }),
+            None => Ok(()),
+        }
+    }
+}
+
+/// Why no assignment was made.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum AssignError {
+    /// A weight or limit has the wrong sign or is not finite.
+    #[error("assignment parameter {name} = {value} is out of range")]
+    Param {
+        /// Which one.
+        name: &'static str,
+        /// Its value.
+        value: f32,
+    },
+    /// More frames than labels can name.
+    #[error("{0} frames are more than labels can name")]
+    TooManyFrames(usize),
+}
+
+/// A frame that could not be used.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FailedFrame {
+    /// Index into the frames.
+    pub frame: u32,
+    /// Why, in words.
+    pub reason: String,
+}
+
+/// What happened.
+#[derive(Clone, Debug, PartialEq, Default)]
+pub struct AssignReport {
+    /// Frames that were scored.
+    pub num_frames: usize,
+    /// Frames that could not be decoded; the others went on.
+    pub failed_frames: Vec<FailedFrame>,
+    /// (triangle, frame) pairs that were compared.
+    pub num_candidates: usize,
+    /// Triangles that a frame paints.
+    pub num_labelled: usize,
+    /// Triangles that a frame may paint, yet none better than the empty label; always 0 when no
+    /// candidate is kept below it.
+    pub num_unlabelled: usize,
+    /// Frames that paint at least one triangle.
+    pub num_frames_used: usize,
+    /// Edges between triangles of different frames, each triangle decided alone.
+    pub num_seams_unary: usize,
+    /// The same in the final labels.
+    pub num_seams: usize,
+    /// Edges between two labelled triangles.
+    pub num_inner_edges: usize,
+}
+
+/// Which frame paints each triangle, and what the frames say of it.
+#[derive(Clone, Debug, PartialEq, Default)]
+pub struct Assignment {
+    /// Per triangle: index into the frames.
+    pub label: Vec<Option<u32>>,
+    /// Per triangle: pixels per metre of surface of the third-best resolved view (of fewer views,
+    /// the worst), the resolution that its texels are worth; 0 where no frame sees it.
+    pub best_texels_per_m: Vec<f32>,
+    /// Per triangle: mean colour over the frames that see it (sRGB mean); black where none does.
+    pub mean_srgb: Vec<[u8; 3]>,
+    /// Per triangle: how many frames may paint it.
+    pub num_views: Vec<u32>,
+    /// What happened.
+    pub report: AssignReport,
+}
+
+/// What scoring needs to know of a frame besides its pixels.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct FramePose {
+    pub(crate) world_from_camera: RigidTransform,
+    pub(crate) quality: FrameQuality,
+}
+
+impl From<&Keyframe> for FramePose {
+    fn from(keyframe: &Keyframe) -> Self {
+        Self {
+            world_from_camera: keyframe.world_from_camera,
+            quality: keyframe.quality,
+        }
+    }
+}
+
+/// Scores every frame against every triangle and keeps the best. `decode` is called once per
+/// frame, from many threads; `progress` with the number of frames that each step finished.
+///
+/// # Errors
+/// [`AssignError`]. A frame that does not decode is no error: it goes to the report.
+pub fn assign(
+    mesh: &TriMesh,
+    frames: &[Arc<Keyframe>],
+    decode: &(dyn Fn(&Keyframe) -> Result<Arc<DecodedFrame>, ImageError> + Sync),
+    params: &AssignParams,
+    progress: &(dyn Fn(usize) + Sync),
+) -> Result<Assignment, AssignError> {
+    let poses: Vec<FramePose> = frames.iter().map(|frame| (&**frame).into()).collect();
+    let decode_at = |frame: usize| decode(&frames[frame]);
+    assign_poses(mesh, &poses, &decode_at, params, progress)
+}
+
+pub(crate) fn assign_poses(
+    mesh: &TriMesh,
+    frames: &[FramePose],
+    decode: &(dyn Fn(usize) -> Result<Arc<DecodedFrame>, ImageError> + Sync),
+    params: &AssignParams,
+    progress: &(dyn Fn(usize) + Sync),
+) -> Result<Assignment, AssignError> {
+    params.check()?;
+    let num_frames =
+        u32::try_from(frames.len()).map_err(|_| AssignError::TooManyFrames(frames.len()))?;
+    let scored: Vec<Result<FrameCandidates, FailedFrame>> = (0..num_frames)
+        .into_par_iter()
+        .map_init(cues::FrameWorkspace::default, |workspace, frame| {
+            let pose = &frames[frame as usize];
+            let candidates = decode(frame as usize)
+                .map_err(|error| error.to_string())
+                .and_then(|decoded| {
+                    cues::score_frame(mesh, pose, &decoded, params, workspace)
+                        .map_err(|error| error.to_string())
+                })
+                .map_err(|reason| FailedFrame { frame, reason });
+            progress(1);
+            candidates
+        })
+        .collect();
+
+    let mut table = CandidateTable::new(mesh.num_triangles(), mesh.num_vertices());
+    let mut failed_frames = vec![];
+    for (frame, candidates) in (0u32..).zip(scored) {
+        match candidates {
+            Ok(candidates) => table.add(frame, frames[frame as usize].quality, candidates),
+            Err(failed) => failed_frames.push(failed),
+        }
+    }
+    let mut assignment = table.assign(mesh, params);
+    assignment.report.failed_frames = failed_frames;
+    Ok(assignment)
+}
+
+#[cfg(test)]
+pub(crate) mod capture;
+
+#[cfg(test)]
+mod measure {
+    //! Timings and pictures on real captures: `cargo test --release -- --ignored measure`.
+    use super::capture::Capture;
+    use super::*;
+    use crate::geom::ColorImage;
+    use crate::mesh::TriangleId;
+    use crate::render::{NO_TRIANGLE, RasterWorkspace, ViewBuffer, rasterize};
+    use std::time::Instant;
+
+    struct Quality {
+        psnr_db: f64,
+        ssim: f64,
+        coverage: f64,
+    }
+
+    /// Each pixel of a held-out view takes its colour from the frame that paints its triangle.
+    fn project(
+        capture: &Capture,
+        frames: &[Arc<DecodedFrame>],
+        assignment: &Assignment,
+        held_out: &Capture,
+        view_index: usize,
+    ) -> (ColorImage, Vec<bool>) {
+        let camera = held_out.cameras[view_index][0];
+        let camera = camera.resized(640, 480).unwrap();
+        let world_from_camera = held_out.poses[view_index].world_from_camera;
+        let mut view = ViewBuffer::default();
+        rasterize(
+            &capture.mesh,
+            &camera,
+            &world_from_camera.inverse(),
+            &mut RasterWorkspace::default(),
+            &mut view,
+        );
+        let mut mask = vec![];
+        let mut pixels = vec![];
+        for (index, &id) in view.triangle.iter().enumerate() {
+            let color = (|| {
+                if id == NO_TRIANGLE {
+                    return None;
+                }
+                let frame = assignment.label[TriangleId(id).index()]? as usize;
+                let (x, y) = ((index % 640) as f64, (index / 640) as f64);
+                let point = camera.unproject([x, y], f64::from(view.depth_m[index]));
+                let point = world_from_camera.transform_point(&point);
+                let point = capture.poses[frame]
+                    .world_from_camera
+                    .inverse()
+                    .transform_point(&point);
+                let px = capture.cameras[frame][0].project(&point)?;
+                Some(
+                    frames[frame]
+                        .color
+                        .sample_bilinear(px.map(|v| v as f32))
+                        .map(|v| v.round() as u8),
+                )
+            })();
+            mask.push(color.is_some());
+            pixels.push(color.unwrap_or_default());
+        }
+        (ColorImage::new(640, 480, pixels).unwrap(), mask)
+    }
+
+    fn shrink(image: &ColorImage) -> ColorImage {
+        let step = image.width() / 640;
+        let pixels = (0..480 * 640u32)
+            .map(|i| {
+                let (x, y) = (i % 640 * step, i / 640 * step);
+                std::array::from_fn(|c| {
+                    let mut sum = 0u32;
+                    for dy in 0..step {
+                        for dx in 0..step {
+                            sum += u32::from(image.pixel_clamped(x + dx, y + dy)[c]);
+                        }
+                    }
+                    (sum / (step * step)) as u8
+                })
+            })
+            .collect();
+        ColorImage::new(640, 480, pixels).unwrap()
+    }
+
+    fn compare(photo: &ColorImage, render: &ColorImage, mask: &[bool]) -> Quality {
+        let mut error = 0.0;
+        let mut num = 0.0;
+        for ((p, r), _) in photo
+            .pixels()
+            .iter()
+            .zip(render.pixels())
+            .zip(mask)
+            .filter(|(_, m)| **m)
+        {
+            for c in 0..3 {
+                error += (f64::from(p[c]) - f64::from(r[c])).powi(2);
+            }
+            num += 3.0;
+        }
+        let luma = |image: &ColorImage| -> Vec<f64> {
+            image
+                .pixels()
+                .iter()
+                .map(|p| {
+                    0.299 * f64::from(p[0]) + 0.587 * f64::from(p[1]) + 0.114 * f64::from(p[2])
+                })
+                .collect()
+        };
+        let (a, b) = (luma(photo), luma(render));
+        let (mut ssim, mut windows) = (0.0, 0.0);
+        for y in (0..472).step_by(4) {
+            for x in (0..632).step_by(4) {
+                let cells: Vec<usize> = (0..64).map(|i| (y + i / 8) * 640 + x + i % 8).collect();
+                if !cells.iter().all(|&i| mask[i]) {
+                    continue;
+                }
+                let mean = |v: &[f64]| cells.iter().map(|&i| v[i]).sum::<f64>() / 64.0;
+                let (ma, mb) = (mean(&a), mean(&b));
+                let cov = |u: &[f64], mu: f64, v: &[f64], mv: f64| {
+                    cells
+                        .iter()
+                        .map(|&i| (u[i] - mu) * (v[i] - mv))
+                        .sum::<f64>()
+                        / 63.0
+                };
+                let (va, vb, vab) = (
+                    cov(&a, ma, &a, ma),
+                    cov(&b, mb, &b, mb),
+                    cov(&a, ma, &b, mb),
+                );
+                let (c1, c2) = (6.5025, 58.5225);
+                ssim += (2.0 * ma * mb + c1) * (2.0 * vab + c2)
+                    / ((ma * ma + mb * mb + c1) * (va + vb + c2));
+                windows += 1.0;
+            }
+        }
+        Quality {
+            psnr_db: 10.0 * (255.0f64 * 255.0 * num / error).log10(),
+            ssim: ssim / windows,
+            coverage: num / 3.0 / (640.0 * 480.0),
+        }
+    }
+
+    fn save(name: &str, image: &ColorImage) {
+        let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/target/pictures");
+        std::fs::create_dir_all(folder).unwrap();
+        let bytes: Vec<u8> = image.pixels().iter().flatten().copied().collect();
+        image::save_buffer(
+            format!("{folder}/{name}.png"),
+            &bytes,
+            image.width(),
+            image.height(),
+            image::ColorType::Rgb8,
+        )
+        .unwrap();
+    }
+
+    #[expect(clippy::print_stdout, reason = "a measurement is there to be read")]
+    fn run(name: &str, mesh: &str) {
+        let Some(capture) = Capture::load(name, mesh, |i| i % 10 != 5) else {
+            return;
+        };
+        let held_out = Capture::load(name, mesh, |i| i % 10 == 5).unwrap();
+        let frames: Vec<_> = (0..capture.poses.len())
+            .map(|i| capture.decode(i).unwrap())
+            .collect();
+        let photos: Vec<_> = (0..held_out.poses.len())
+            .map(|i| shrink(&held_out.decode(i).unwrap().color))
+            .collect();
+        let base = AssignParams::default();
+        let pair = |weight| {
+            Some(PairwiseParams {
+                weight,
+                ..PairwiseParams::default()
+            })
+        };
+        let variants = [
+            ("paper", AssignParams::paper()),
+            (
+                "paper+C4=1",
+                AssignParams {
+                    pairwise: pair(1.0),
+                    ..AssignParams::paper()
+                },
+            ),
+            ("default", base.clone()),
+            (
+                "unary",
+                AssignParams {
+                    pairwise: None,
+                    ..base.clone()
+                },
+            ),
+            (
+                "pair .05",
+                AssignParams {
+                    pairwise: pair(0.05),
+                    ..base.clone()
+                },
+            ),
+            (
+                "pair .5",
+                AssignParams {
+                    pairwise: pair(0.5),
+                    ..base.clone()
+                },
+            ),
+            (
+                "pair 1",
+                AssignParams {
+                    pairwise: pair(1.0),
+                    ..base.clone()
+                },
+            ),
+            (
+                "no edge",
+                AssignParams {
+                    depth_edge_penalty: 0.0,
+                    ..base.clone()
+                },
+            ),
+            (
+                "no visibility",
+                AssignParams {
+                    visibility: None,
+                    ..base.clone()
+                },
+            ),
+            (
+                "res 0",
+                AssignParams {
+                    resolution_weight: 0.0,
+                    ..base.clone()
+                },
+            ),
+            (
+                "res 1",
+                AssignParams {
+                    resolution_weight: 1.0,
+                    ..base.clone()
+                },
+            ),
+            (
+                "res 3",
+                AssignParams {
+                    resolution_weight: 3.0,
+                    ..base.clone()
+                },
+            ),
+            (
+                "depth -3",
+                AssignParams {
+                    depth_weight: -3.0,
+                    ..base.clone()
+                },
+            ),
+            (
+                "color -4",
+                AssignParams {
+                    color_weight: -4.0,
+                    ..base.clone()
+                },
+            ),
+            (
+                "color -10",
+                AssignParams {
+                    color_weight: -10.0,
+                    ..base.clone()
+                },
+            ),
+            (
+                "grazing 0",
+                AssignParams {
+                    grazing_penalty: 0.0,
+                    ..base.clone()
+                },
+            ),
+        ];
+        for (variant, params) in variants {
+            let start = Instant::now();
+            let assignment = assign_poses(
+                &capture.mesh,
+                &capture.poses,
+                &|i| Ok(frames[i].clone()),
+                &params,
+                &|_| (),
+            )
+            .unwrap();
+            let seconds = start.elapsed().as_secs_f64();
+            let mut sums = [0.0; 3];
+            for view in 0..photos.len() {
+                let (render, mask) = project(&capture, &frames, &assignment, &held_out, view);
+                let q = compare(&photos[view], &render, &mask);
+                for (sum, value) in sums.iter_mut().zip([q.psnr_db, q.ssim, q.coverage]) {
+                    *sum += value / photos.len() as f64;
+                }
+                if view % 7 == 2 {
+                    save(&format!("{name}-{view}-{variant}"), &render);
+                    save(&format!("{name}-{view}-photo"), &photos[view]);
+                }
+            }
+            let report = &assignment.report;
+            println!(
+                "{variant:14} {seconds:5.2} s  PSNR {:.3}  SSIM {:.4}  coverage {:.4}  labelled {}  used {}  candidates {}  seams {} -> {} of {}",
+                sums[0],
+                sums[1],
+                sums[2],
+                report.num_labelled,
+                report.num_frames_used,
+                report.num_candidates,
+                report.num_seams_unary,
+                report.num_seams,
+                report.num_inner_edges
+            );
+        }
+    }
+
+    #[test]
+    #[ignore = "a measurement"]
+    fn apt0() {
+        run("apt0_structure", "mesh.ply");
+    }
+
+    #[test]
+    #[ignore = "a measurement"]
+    fn charuco() {
+        run("charuco_lidar", "mesh_tsdf_refined.ply");
+    }
+}

@@ -1,0 +1,197 @@
+//! One frame's column of scores: every cue but C3, and the colours that C3 will compare.
+
+use crate::geom::camera::CameraError;
+use crate::keyframe::DecodedFrame;
+use crate::mesh::TriMesh;
+use crate::render::VisibilityBuffer;
+
+use super::validity::{
+    DepthProbe, TriangleView, TriangleVisibility, VertexView, depth_difference_m, view_vertices,
+};
+use super::{AssignParams, ColorReference, FramePose};
+
+/// The resolution cue is 0 at this many pixels per metre.
+const REFERENCE_PX_PER_M: f64 = 100.0;
+
+/// The sum of three sRGB colours, ten bits a channel.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct TripleColor(u32);
+
+impl TripleColor {
+    fn new(colors: [[u8; 3]; 3]) -> Self {
+        let sums: [u32; 3] =
+            std::array::from_fn(|c| colors.iter().map(|color| u32::from(color[c])).sum());
+        Self(sums[0] << 20 | sums[1] << 10 | sums[2])
+    }
+
+    /// Sums of three bytes.
+    pub(crate) fn sums(self) -> [u32; 3] {
+        [self.0 >> 20, (self.0 >> 10) & 0x3ff, self.0 & 0x3ff]
+    }
+}
+
+/// One triangle in one frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Candidate {
+    pub(crate) triangle: u32,
+    /// All cues but C3 and the frame's own.
+    pub(crate) score: f32,
+    /// Projected area in px² of the image.
+    pub(crate) area_px2: f32,
+    /// Colours at the three vertices.
+    pub(crate) colors: TripleColor,
+}
+
+/// What one frame says of all triangles.
+#[derive(Clone, Debug, PartialEq, Default)]
+pub(crate) struct FrameCandidates {
+    /// By triangle, ascending; those that the empty label beats are left out.
+    pub(crate) candidates: Vec<Candidate>,
+    /// Colours at the vertices of valid triangles, for [`ColorReference::ValidFrames`].
+    pub(crate) vertex_colors: Vec<(u32, [u8; 3])>,
+}
+
+/// Scratch memory of [`score_frame`].
+#[derive(Debug, Default)]
+pub(crate) struct FrameWorkspace {
+    vertices: Vec<VertexView>,
+    visibility: VisibilityBuffer,
+}
+
+/// Scores every triangle that the frame may paint.
+pub(crate) fn score_frame(
+    mesh: &TriMesh,
+    pose: &FramePose,
+    frame: &DecodedFrame,
+    params: &AssignParams,
+    workspace: &mut FrameWorkspace,
+) -> Result<FrameCandidates, CameraError> {
+    let camera_from_world = pose.world_from_camera.inverse();
+    let FrameWorkspace {
+        vertices,
+        visibility,
+    } = workspace;
+    view_vertices(mesh, &camera_from_world, frame, params, vertices);
+    if let Some(visibility_params) = &params.visibility {
+        visibility.update(
+            mesh,
+            &frame.color_camera,
+            &camera_from_world,
+            visibility_params,
+        )?;
+    }
+    let scorer = Scorer::new(frame, params);
+    let mut out = FrameCandidates::default();
+    let mut is_valid_vertex = match params.color_reference {
+        ColorReference::SeeingFrames => vec![],
+        ColorReference::ValidFrames => vec![false; vertices.len()],
+    };
+    for (triangle, indices) in (0u32..).zip(mesh.triangles()) {
+        let corners = indices.map(|v| vertices[v as usize]);
+        let Some(view) = TriangleView::new(corners, &frame.color_camera) else {
+            continue;
+        };
+        for &vertex in indices {
+            if let Some(is_valid) = is_valid_vertex.get_mut(vertex as usize) {
+                *is_valid = true;
+            }
+        }
+        let seen = match &params.visibility {
+            Some(_) => view.visibility(&frame.color_camera, visibility),
+            None => Some(TriangleVisibility::default()),
+        };
+        let Some(seen) = seen else { continue };
+        let score = scorer.score(&view, &seen);
+        if score > params.empty_score {
+            #[expect(clippy::cast_possible_truncation, reason = "rounding to f32 is meant")]
+            let area_px2 = view.area_px2 as f32;
+            out.candidates.push(Candidate {
+                triangle,
+                score,
+                area_px2,
+                colors: TripleColor::new(corners.map(|corner| corner.srgb)),
+            });
+        }
+    }
+    out.vertex_colors = (0u32..)
+        .zip(&is_valid_vertex)
+        .filter(|(_, is_valid)| **is_valid)
+        .map(|(vertex, _)| (vertex, vertices[vertex as usize].srgb))
+        .collect();
+    Ok(out)
+}
+
+struct Scorer<'a> {
+    params: &'a AssignParams,
+    frame: &'a DecodedFrame,
+    depth: Option<DepthProbe<'a>>,
+    area_scale: f64,
+    min_sin_elevation: f64,
+}
+
+impl<'a> Scorer<'a> {
+    fn new(frame: &'a DecodedFrame, params: &'a AssignParams) -> Self {
+        let width_px = f64::from(frame.color_camera.width());
+        let area_scale = params
+            .reference_width_px
+            .map_or(1.0, |reference| (f64::from(reference) / width_px).powi(2));
+        Self {
+            params,
+            frame,
+            depth: frame.depth.as_ref().map(DepthProbe::new),
+            area_scale,
+            min_sin_elevation: f64::from(params.min_elevation_rad).sin(),
+        }
+    }
+
+    #[expect(clippy::cast_possible_truncation, reason = "rounding to f32 is meant")]
+    fn score(&self, view: &TriangleView, seen: &TriangleVisibility) -> f32 {
+        let params = self.params;
+        let mut score = params.area_weight * (view.area_px2 * self.area_scale) as f32
+            + params.depth_weight * self.depth_difference_m(view);
+        if params.resolution_weight > 0.0 {
+            score += params.resolution_weight * self.log2_resolution(view) as f32;
+        }
+        score -= params.hidden_penalty * seen.hidden_share;
+        if seen.is_near_depth_edge {
+            score -= params.depth_edge_penalty;
+        }
+        if view.sin_elevation.abs() < self.min_sin_elevation {
+            score -= params.grazing_penalty;
+        }
+        if view.sin_elevation < 0.0 {
+            score -= params.back_face_penalty;
+        }
+        score
+    }
+
+    /// C2.
+    fn depth_difference_m(&self, view: &TriangleView) -> f32 {
+        let params = self.params;
+        let at_centroid = depth_difference_m(self.depth.as_ref(), &view.centroid_in_camera);
+        view.corners
+            .iter()
+            .map(|corner| corner.depth_difference_m)
+            .chain([at_centroid])
+            .map(|difference_m| {
+                if difference_m.is_infinite() {
+                    params.unmeasured_depth_difference_m
+                } else if difference_m > params.max_depth_difference_m {
+                    params.rejected_depth_difference_m
+                } else {
+                    difference_m
+                }
+            })
+            .fold(0.0, f32::max)
+    }
+
+    /// Pixels per metre across the foreshortened surface, as doublings of the reference. It is
+    /// taken from the geometry and not from the projected area, which rounding spoils for slivers.
+    fn log2_resolution(&self, view: &TriangleView) -> f64 {
+        let [fx, fy, _, _] = self.frame.color_camera.intrinsics_px();
+        let depth_m = view.centroid_in_camera.z;
+        let px2_per_m2 = fx * fy / (depth_m * depth_m) * view.sin_elevation.abs().max(1e-3);
+        let doublings = 0.5 * (px2_per_m2 / (REFERENCE_PX_PER_M * REFERENCE_PX_PER_M)).log2();
+        doublings.clamp(-10.0, 10.0)
+    }
+}

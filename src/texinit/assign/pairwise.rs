@@ -1,0 +1,321 @@
+//! C4: adjacent triangles earn a reward when the same frame paints both.
+//!
+//! Maximises Σ ψ_i(t_i) + w·Σ 1(t_i = t_j) over pairs of triangles that share an edge, each
+//! triangle choosing among its best few frames. Solver: max-product on the LP dual by block
+//! coordinate descent, one block per edge (MPLP; Globerson and Jaakkola, "Fixing max-product",
+//! NIPS 2007), edges in a fixed order; the dual value never rises. Labels are decoded from the
+//! beliefs and then improved one triangle at a time (ICM) until no single change gains.
+
+use crate::mesh::TriMesh;
+
+/// The pairwise cue.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PairwiseParams {
+    /// ω4: reward per pair of adjacent triangles with the same frame (≥ 0).
+    pub weight: f32,
+    /// Each triangle chooses among this many of its best frames, 1..=16.
+    pub num_candidates: u32,
+    /// Sweeps over all edges, 0..=100.
+    pub num_sweeps: u32,
+}
+
+impl Default for PairwiseParams {
+    fn default() -> Self {
+        Self {
+            weight: 0.15,
+            num_candidates: 8,
+            num_sweeps: 10,
+        }
+    }
+}
+
+impl PairwiseParams {
+    pub(crate) fn num_ranked(&self) -> usize {
+        self.num_candidates.clamp(1, 16) as usize
+    }
+}
+
+/// Frame and score of a candidate.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Choice {
+    frame: u32,
+    score: f32,
+}
+
+/// The best few candidates of each triangle.
+#[derive(Clone, Debug)]
+pub(crate) struct Ranked {
+    width: usize,
+    /// `width` slots a triangle, best first.
+    choices: Vec<Choice>,
+    num_choices: Vec<u8>,
+}
+
+impl Ranked {
+    pub(crate) fn new(num_triangles: usize, width: usize) -> Self {
+        let width = width.clamp(1, 16);
+        let none = Choice {
+            frame: u32::MAX,
+            score: f32::NEG_INFINITY,
+        };
+        Self {
+            width,
+            choices: vec![none; num_triangles * width],
+            num_choices: vec![0; num_triangles],
+        }
+    }
+
+    /// Equal scores go to the later frame; frames are offered in ascending order.
+    pub(crate) fn offer(&mut self, triangle: usize, frame: u32, score: f32) {
+        let slots = &mut self.choices[triangle * self.width..(triangle + 1) * self.width];
+        let mut incoming = Choice { frame, score };
+        for slot in slots.iter_mut() {
+            let is_better = incoming.score > slot.score
+                || (incoming.score == slot.score && incoming.frame > slot.frame)
+                || slot.frame == u32::MAX;
+            if is_better {
+                std::mem::swap(slot, &mut incoming);
+            }
+        }
+        let num = &mut self.num_choices[triangle];
+        if usize::from(*num) < self.width {
+            *num += 1;
+        }
+    }
+
+    pub(crate) fn best_labels(&self) -> Vec<Option<u32>> {
+        (0..self.num_choices.len())
+            .map(|triangle| self.of(triangle).first().map(|choice| choice.frame))
+            .collect()
+    }
+
+    fn of(&self, triangle: usize) -> &[Choice] {
+        let first = triangle * self.width;
+        &self.choices[first..first + usize::from(self.num_choices[triangle])]
+    }
+}
+
+/// Pairs of triangles that share an edge, sorted. Where more than two meet, each is paired with
+/// the next.
+pub(crate) fn adjacent_pairs(mesh: &TriMesh) -> Vec<[u32; 2]> {
+    let mut sides: Vec<([u32; 2], u32)> = Vec::with_capacity(3 * mesh.num_triangles());
+    for (triangle, &[a, b, c]) in (0u32..).zip(mesh.triangles()) {
+        for [p, q] in [[a, b], [b, c], [c, a]] {
+            if p != q {
+                sides.push(([p.min(q), p.max(q)], triangle));
+            }
+        }
+    }
+    sides.sort_unstable();
+    let mut pairs: Vec<[u32; 2]> = sides
+        .windows(2)
+        .filter(|pair| pair[0].0 == pair[1].0 && pair[0].1 != pair[1].1)
+        .map(|pair| [pair[0].1, pair[1].1])
+        .collect();
+    pairs.sort_unstable();
+    pairs.dedup();
+    pairs
+}
+
+/// The labels of best total score found.
+pub(crate) fn solve(
+    ranked: &Ranked,
+    adjacency: &[[u32; 2]],
+    params: &PairwiseParams,
+) -> Vec<Option<u32>> {
+    let mut messages = Messages::new(ranked, adjacency, params.weight);
+    for _ in 0..params.num_sweeps.min(100) {
+        messages.sweep();
+    }
+    let mut chosen = messages.decode();
+    improve(ranked, adjacency, params.weight, &mut chosen);
+    chosen
+        .iter()
+        .enumerate()
+        .map(|(triangle, &slot)| ranked.of(triangle).get(slot).map(|choice| choice.frame))
+        .collect()
+}
+
+/// The dual: beliefs of all triangles and what each edge put into them.
+struct Messages<'a> {
+    ranked: &'a Ranked,
+    adjacency: &'a [[u32; 2]],
+    weight: f32,
+    /// Scores plus all messages, in the slots of `ranked`.
+    beliefs: Vec<f32>,
+    /// Per edge: what it put into its first and its second triangle.
+    sent: Vec<f32>,
+}
+
+impl<'a> Messages<'a> {
+    fn new(ranked: &'a Ranked, adjacency: &'a [[u32; 2]], weight: f32) -> Self {
+        Self {
+            ranked,
+            adjacency,
+            weight,
+            beliefs: ranked.choices.iter().map(|choice| choice.score).collect(),
+            sent: vec![0.0; adjacency.len() * 2 * ranked.width],
+        }
+    }
+
+    /// One update of every edge: it splits what its pair can reach evenly between the two.
+    fn sweep(&mut self) {
+        let width = self.ranked.width;
+        let mut without = [[0.0f32; 16]; 2];
+        let mut reach = [[0.0f32; 16]; 2];
+        for (pair, sent) in self
+            .adjacency
+            .iter()
+            .zip(self.sent.chunks_exact_mut(2 * width))
+        {
+            let sides = pair.map(|triangle| self.ranked.of(triangle as usize));
+            if sides[0].is_empty() || sides[1].is_empty() {
+                continue;
+            }
+            let starts = pair.map(|triangle| triangle as usize * width);
+            for side in 0..2 {
+                for slot in 0..sides[side].len() {
+                    without[side][slot] =
+                        self.beliefs[starts[side] + slot] - sent[side * width + slot];
+                }
+            }
+            for side in 0..2 {
+                let other = 1 - side;
+                let best_other = without[other][..sides[other].len()]
+                    .iter()
+                    .fold(f32::NEG_INFINITY, |best, &value| best.max(value));
+                for (slot, choice) in sides[side].iter().enumerate() {
+                    let same = sides[other]
+                        .iter()
+                        .position(|other| other.frame == choice.frame)
+                        .map_or(f32::NEG_INFINITY, |at| without[other][at] + self.weight);
+                    reach[side][slot] = best_other.max(same);
+                }
+            }
+            for side in 0..2 {
+                for slot in 0..sides[side].len() {
+                    let own = without[side][slot];
+                    let message = 0.5 * (reach[side][slot] - own);
+                    sent[side * width + slot] = message;
+                    self.beliefs[starts[side] + slot] = own + message;
+                }
+            }
+        }
+    }
+
+    /// Slot of the best belief per triangle.
+    fn decode(&self) -> Vec<usize> {
+        (0..self.ranked.num_choices.len())
+            .map(|triangle| {
+                let start = triangle * self.ranked.width;
+                let beliefs = &self.beliefs[start..start + self.ranked.of(triangle).len()];
+                let mut best = 0;
+                for (slot, &belief) in beliefs.iter().enumerate() {
+                    if belief > beliefs[best] {
+                        best = slot;
+                    }
+                }
+                best
+            })
+            .collect()
+    }
+
+    /// Upper bound of the score of any labelling.
+    #[cfg(test)]
+    fn dual_value(&self) -> f64 {
+        let width = self.ranked.width;
+        let mut value = 0.0f64;
+        for triangle in 0..self.ranked.num_choices.len() {
+            let num = self.ranked.of(triangle).len();
+            let beliefs = &self.beliefs[triangle * width..triangle * width + num];
+            if let Some(best) = beliefs.iter().copied().reduce(f32::max) {
+                value += f64::from(best);
+            }
+        }
+        for (pair, sent) in self.adjacency.iter().zip(self.sent.chunks_exact(2 * width)) {
+            let sides = pair.map(|triangle| self.ranked.of(triangle as usize));
+            let mut best = f64::NEG_INFINITY;
+            for (i, a) in sides[0].iter().enumerate() {
+                for (j, b) in sides[1].iter().enumerate() {
+                    let reward = if a.frame == b.frame { self.weight } else { 0.0 };
+                    best = best.max(f64::from(reward - sent[i] - sent[width + j]));
+                }
+            }
+            if best.is_finite() {
+                value += best;
+            }
+        }
+        value
+    }
+}
+
+/// Changes single triangles while that gains, at most ten times over all.
+fn improve(ranked: &Ranked, adjacency: &[[u32; 2]], weight: f32, chosen: &mut [usize]) {
+    let neighbours = Neighbours::new(chosen.len(), adjacency);
+    for _ in 0..10 {
+        let mut has_changed = false;
+        for triangle in 0..chosen.len() {
+            let choices = ranked.of(triangle);
+            let gain = |slot: usize| {
+                let choice: &Choice = &choices[slot];
+                let num_equal = neighbours
+                    .of(triangle)
+                    .iter()
+                    .filter(|&&other| {
+                        ranked
+                            .of(other as usize)
+                            .get(chosen[other as usize])
+                            .is_some_and(|theirs| theirs.frame == choice.frame)
+                    })
+                    .count();
+                choice.score + weight * num_equal as f32
+            };
+            let Some(mut best) = choices.get(chosen[triangle]).map(|_| chosen[triangle]) else {
+                continue;
+            };
+            let mut best_gain = gain(best);
+            for slot in 0..choices.len() {
+                let slot_gain = gain(slot);
+                if slot_gain > best_gain {
+                    (best, best_gain) = (slot, slot_gain);
+                }
+            }
+            has_changed |= best != chosen[triangle];
+            chosen[triangle] = best;
+        }
+        if !has_changed {
+            break;
+        }
+    }
+}
+
+/// Adjacent triangles of each triangle.
+struct Neighbours {
+    first: Vec<usize>,
+    others: Vec<u32>,
+}
+
+impl Neighbours {
+    fn new(num_triangles: usize, adjacency: &[[u32; 2]]) -> Self {
+        let mut directed: Vec<[u32; 2]> = adjacency
+            .iter()
+            .flat_map(|&[i, j]| [[i, j], [j, i]])
+            .collect();
+        directed.sort_unstable();
+        let mut first = vec![0; num_triangles + 1];
+        for &[i, _] in &directed {
+            first[i as usize + 1] += 1;
+        }
+        for triangle in 0..num_triangles {
+            first[triangle + 1] += first[triangle];
+        }
+        Self {
+            first,
+            others: directed.into_iter().map(|[_, j]| j).collect(),
+        }
+    }
+
+    fn of(&self, triangle: usize) -> &[u32] {
+        &self.others[self.first[triangle]..self.first[triangle + 1]]
+    }
+}
