@@ -15,7 +15,9 @@
 //! centres at halves. See `ARCHITECTURE.md` for who may import whom.
 
 pub mod atlas;
+pub mod export;
 pub mod geom;
 pub mod ingest;
 pub mod keyframe;
 pub mod mesh;
+pub mod metrics;
