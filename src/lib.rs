@@ -17,6 +17,7 @@
 pub mod atlas;
 #[cfg(feature = "bag")]
 pub mod bag;
+pub mod export;
 pub mod geom;
 pub mod ingest;
 pub mod keyframe;
@@ -24,3 +25,4 @@ pub mod mesh;
 pub mod wire;
 pub mod render;
 pub mod texinit;
+pub mod metrics;

@@ -1,1 +1,5 @@
 //! The one integration binary: each file is one subject.
+
+mod export;
+mod python;
+mod textured_room;
