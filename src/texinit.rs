@@ -1,3 +1,4 @@
 //! TexInit: from a mesh and posed frames to an atlas with every texel coloured (L3).
 
 pub mod flatten;
+pub mod overlap;
