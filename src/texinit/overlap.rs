@@ -24,6 +24,18 @@ use rayon::prelude::*;
 pub use separate::PieceMethod;
 
 use super::flatten::FlatChart;
+use crate::atlas::PlaneChart;
+use crate::mesh::TriangleId;
+
+impl PlaneChart for FlatChart {
+    fn triangles(&self) -> &[TriangleId] {
+        &self.triangles
+    }
+
+    fn corners_m(&self) -> &[[[f64; 2]; 3]] {
+        &self.corners_m
+    }
+}
 
 /// How overlaps are resolved.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -140,7 +152,6 @@ mod tests {
     use super::super::flatten::ChartDistortion;
     use super::detect::tests::pairs_by_brute_force;
     use super::*;
-    use crate::mesh::TriangleId;
 
     type Point = [f64; 2];
 
