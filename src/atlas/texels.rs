@@ -184,6 +184,11 @@ pub(crate) fn for_each_texel_of(
 
 #[cfg(test)]
 mod tests {
+    #![expect(
+        clippy::cast_possible_truncation,
+        reason = "test coordinates are small"
+    )]
+
     use proptest::prelude::*;
 
     use super::*;

@@ -1,0 +1,137 @@
+//! Rectangles onto pages: guillotiere's best-fit free lists, fed from the highest to the lowest.
+
+use guillotiere::{AtlasAllocator, Size};
+
+/// Where a rectangle went.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Spot {
+    pub(super) page: u32,
+    pub(super) x: u32,
+    pub(super) y: u32,
+}
+
+/// All rectangles on pages of one size.
+#[derive(Debug, PartialEq, Eq)]
+pub(super) struct Placement {
+    pub(super) page_size_texel: [u32; 2],
+    pub(super) num_pages: u32,
+    /// In the order of the rectangles given.
+    pub(super) spots: Vec<Spot>,
+}
+
+impl Placement {
+    fn num_texels(&self) -> u64 {
+        num_texels(self.page_size_texel) * u64::from(self.num_pages)
+    }
+}
+
+fn num_texels(size: [u32; 2]) -> u64 {
+    u64::from(size[0]) * u64::from(size[1])
+}
+
+/// Smallest page.
+const MIN_SIDE_TEXEL: u32 = 64;
+
+/// The smallest placement found: one page of power-of-two sides (as wide as high or twice as wide)
+/// where that holds everything, else as many full or half pages as it takes. Nothing when
+/// `max_texels` do not hold it. Each rectangle is at most `max_side_texel` wide and high.
+pub(super) fn place(rects: &[[u32; 2]], max_side_texel: u32, max_texels: u64) -> Option<Placement> {
+    let area: u64 = rects.iter().map(|&rect| num_texels(rect)).sum();
+    if area > max_texels {
+        return None;
+    }
+    let order = by_height(rects);
+    let largest: [u32; 2] = [0, 1].map(|axis| rects.iter().map(|r| r[axis]).max().unwrap_or(0));
+    for size in single_page_sizes(max_side_texel) {
+        let is_worth_trying = num_texels(size) >= area && (0..2).all(|k| size[k] >= largest[k]);
+        if !is_worth_trying {
+            continue;
+        }
+        if num_texels(size) > max_texels {
+            return None;
+        }
+        if let Some(placement) = place_on_pages(rects, &order, size, 1) {
+            return Some(placement);
+        }
+    }
+    let full = [max_side_texel; 2];
+    let half = [max_side_texel, max_side_texel / 2];
+    [full, half]
+        .into_iter()
+        .filter(|size| size[1] >= largest[1])
+        .filter_map(|size| {
+            let max_pages = max_texels / num_texels(size);
+            place_on_pages(
+                rects,
+                &order,
+                size,
+                u32::try_from(max_pages).unwrap_or(u32::MAX),
+            )
+        })
+        .min_by_key(|placement| (placement.num_texels(), placement.num_pages))
+}
+
+/// From the smallest up: 64 × 64, 128 × 64, 128 × 128, …
+fn single_page_sizes(max_side_texel: u32) -> impl Iterator<Item = [u32; 2]> {
+    let sides = std::iter::successors(Some(MIN_SIDE_TEXEL), move |side| {
+        side.checked_mul(2).filter(|next| *next <= max_side_texel)
+    });
+    sides.flat_map(|side| {
+        let wide = [side, side / 2];
+        let square = [side, side];
+        let first = (side > MIN_SIDE_TEXEL).then_some(wide);
+        first.into_iter().chain([square])
+    })
+}
+
+fn by_height(rects: &[[u32; 2]]) -> Vec<usize> {
+    let mut order: Vec<usize> = (0..rects.len()).collect();
+    order.sort_by_key(|&k| (std::cmp::Reverse([rects[k][1], rects[k][0]]), k));
+    order
+}
+
+fn place_on_pages(
+    rects: &[[u32; 2]],
+    order: &[usize],
+    page_size_texel: [u32; 2],
+    max_pages: u32,
+) -> Option<Placement> {
+    let as_size = |[width, height]: [u32; 2]| {
+        let side = |v: u32| i32::try_from(v).unwrap_or(i32::MAX);
+        Size::new(side(width), side(height))
+    };
+    let mut pages: Vec<AtlasAllocator> = Vec::new();
+    let mut spots = vec![
+        Spot {
+            page: 0,
+            x: 0,
+            y: 0
+        };
+        rects.len()
+    ];
+    for &k in order {
+        let size = as_size(rects[k]);
+        let found = (0u32..)
+            .zip(pages.iter_mut())
+            .find_map(|(page, allocator)| Some((page, allocator.allocate(size)?)));
+        let (page, allocation) = match found {
+            Some(found) => found,
+            None => {
+                let page = u32::try_from(pages.len()).ok().filter(|p| *p < max_pages)?;
+                pages.push(AtlasAllocator::new(as_size(page_size_texel)));
+                (page, pages.last_mut()?.allocate(size)?)
+            }
+        };
+        let corner = allocation.rectangle.min;
+        spots[k] = Spot {
+            page,
+            x: u32::try_from(corner.x).ok()?,
+            y: u32::try_from(corner.y).ok()?,
+        };
+    }
+    Some(Placement {
+        page_size_texel,
+        num_pages: u32::try_from(pages.len()).ok()?.max(1),
+        spots,
+    })
+}

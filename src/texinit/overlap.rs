@@ -1,0 +1,332 @@
+//! Overlap detection and its cure: after [`separate`], no two triangles of a chart share area in
+//! the plane.
+//!
+//! Method: Zhao, Zhao, Schwing, ECCV 2022, section 3.1, Eq. MRFPlane. Triangles of a chart that
+//! overlap ([`detect`], exact) are assigned to different planes by a Markov random field over the
+//! planes: 1 for a triangle's own first free plane, 1 for each adjacent pair on one plane, 1 for
+//! each overlapping pair on two. It is solved by MPLP ([`mplp`]); what still overlaps is moved to
+//! the first plane free of all its neighbours. Triangles of one plane that hang together by edges
+//! are a piece, and each piece is a chart of its own.
+//!
+//! Two additions, each switchable. Region growing (add a neighbour unless it overlaps the piece)
+//! is tried beside the field, and the result with fewer pieces is kept. A chart so folded that its
+//! overlapping pairs outnumber [`OverlapParams::max_pairs_per_triangle`] is grown only, whose time
+//! does not depend on how many layers there are.
+//!
+//! Charts without overlap, nearly all of them, come back as they were.
+
+pub mod detect;
+pub mod mplp;
+pub mod separate;
+
+use rayon::prelude::*;
+
+pub use separate::PieceMethod;
+
+use super::flatten::FlatChart;
+use crate::atlas::PlaneChart;
+use crate::mesh::TriangleId;
+
+impl PlaneChart for FlatChart {
+    fn triangles(&self) -> &[TriangleId] {
+        &self.triangles
+    }
+
+    fn corners_m(&self) -> &[[[f64; 2]; 3]] {
+        &self.corners_m
+    }
+}
+
+/// How overlaps are resolved.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct OverlapParams {
+    /// Reward of a triangle on the first plane where it overlaps none before it, ≥ 0.
+    pub unary_reward: f64,
+    /// Reward of two adjacent triangles on one plane, ≥ 0.
+    pub adjacent_reward: f64,
+    /// Reward of two overlapping triangles on different planes, ≥ 0.
+    pub overlap_reward: f64,
+    /// Sweeps of dual coordinate descent over all pairs, at most.
+    pub max_sweeps: usize,
+    /// Planes that the field chooses among, ≥ 2; the guarantee may use more.
+    pub max_planes: usize,
+    /// More overlapping pairs than this times the chart's triangles: the chart is grown only.
+    pub max_pairs_per_triangle: usize,
+    /// Keep the grown pieces where they are fewer than the field's.
+    pub try_growing: bool,
+}
+
+impl Default for OverlapParams {
+    fn default() -> Self {
+        Self {
+            unary_reward: 1.0,
+            adjacent_reward: 1.0,
+            overlap_reward: 1.0,
+            max_sweeps: 10,
+            max_planes: 16,
+            max_pairs_per_triangle: 64,
+            try_growing: true,
+        }
+    }
+}
+
+/// What [`separate`] found and did.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub struct OverlapReport {
+    /// Charts that came in.
+    pub num_charts: usize,
+    /// Of these: charts in which triangles overlap.
+    pub num_overlapping_charts: usize,
+    /// Pairs of overlapping triangles, where they were counted to the end.
+    pub num_overlapping_pairs: usize,
+    /// Charts with too many overlapping pairs for the field.
+    pub num_crowded_charts: usize,
+    /// Overlapping charts whose pieces are the grown ones.
+    pub num_grown_charts: usize,
+    /// Triangles that the field left on the plane of one they overlap.
+    pub num_moved_triangles: usize,
+    /// Charts that overlapping charts were separated into.
+    pub num_pieces: usize,
+}
+
+impl OverlapReport {
+    fn add(&mut self, other: &Self) {
+        self.num_charts += other.num_charts;
+        self.num_overlapping_charts += other.num_overlapping_charts;
+        self.num_overlapping_pairs += other.num_overlapping_pairs;
+        self.num_crowded_charts += other.num_crowded_charts;
+        self.num_grown_charts += other.num_grown_charts;
+        self.num_moved_triangles += other.num_moved_triangles;
+        self.num_pieces += other.num_pieces;
+    }
+}
+
+/// The same triangles in charts without overlap, in the order of the charts they came from. A
+/// piece keeps the corners and, as a bound, the distortion of its chart; triangles of no area in
+/// the plane overlap nothing.
+pub fn separate(charts: Vec<FlatChart>, params: &OverlapParams) -> (Vec<FlatChart>, OverlapReport) {
+    let separated: Vec<(Vec<FlatChart>, OverlapReport)> = charts
+        .into_par_iter()
+        .map(|chart| separate_chart(chart, params))
+        .collect();
+    let mut report = OverlapReport::default();
+    for (_, chart_report) in &separated {
+        report.add(chart_report);
+    }
+    let pieces = separated.into_iter().flat_map(|(pieces, _)| pieces);
+    (pieces.collect(), report)
+}
+
+fn separate_chart(chart: FlatChart, params: &OverlapParams) -> (Vec<FlatChart>, OverlapReport) {
+    let max_pairs = params
+        .max_pairs_per_triangle
+        .saturating_mul(chart.corners_m.len());
+    let mut report = OverlapReport {
+        num_charts: 1,
+        ..OverlapReport::default()
+    };
+    let layer = detect::PlaneTriangles::new(&chart.corners_m);
+    let pairs = detect::overlapping_pairs(&layer, max_pairs);
+    if pairs.as_ref().is_some_and(Vec::is_empty) {
+        return (vec![chart], report);
+    }
+    let pieces = separate::pieces(&chart.corners_m, &layer, pairs.as_deref(), params);
+    report.num_overlapping_charts = 1;
+    report.num_overlapping_pairs = pairs.as_ref().map_or(0, Vec::len);
+    report.num_crowded_charts = usize::from(pairs.is_none());
+    report.num_grown_charts = usize::from(pieces.method == PieceMethod::Growing);
+    report.num_moved_triangles = pieces.num_moved_triangles;
+    report.num_pieces = pieces.members.len();
+    let charts = pieces.members.iter().map(|members| FlatChart {
+        triangles: members.iter().map(|&t| chart.triangles[t]).collect(),
+        corners_m: members.iter().map(|&t| chart.corners_m[t]).collect(),
+        distortion: chart.distortion,
+    });
+    (charts.collect(), report)
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::super::flatten::ChartDistortion;
+    use super::detect::tests::pairs_by_brute_force;
+    use super::*;
+
+    type Point = [f64; 2];
+
+    fn chart(corners_m: Vec<[Point; 3]>) -> FlatChart {
+        FlatChart {
+            triangles: (0u32..).map(TriangleId).take(corners_m.len()).collect(),
+            corners_m,
+            distortion: ChartDistortion::default(),
+        }
+    }
+
+    /// Two triangles per step of a strip between two polylines.
+    fn strip(left: &[Point], right: &[Point]) -> FlatChart {
+        let quads = left.windows(2).zip(right.windows(2));
+        chart(
+            quads
+                .flat_map(|(l, r)| [[l[0], r[0], r[1]], [l[0], r[1], l[1]]])
+                .collect(),
+        )
+    }
+
+    /// A strip that turns on itself: an annulus walked around more than once, no wider outwards.
+    fn wound_strip(num_turns: f64) -> FlatChart {
+        let at = |k: usize, radius: f64| {
+            let angle = k as f64 / 40.0 * std::f64::consts::TAU;
+            [radius * angle.cos(), radius * angle.sin()]
+        };
+        let num_steps = (0..)
+            .take_while(|k| f64::from(*k) <= num_turns * 40.0)
+            .count();
+        let edge = |radius: f64| -> Vec<Point> { (0..num_steps).map(|k| at(k, radius)).collect() };
+        strip(&edge(1.0), &edge(1.4))
+    }
+
+    /// A straight strip that folds back over itself every `length` steps, a little higher.
+    fn folded_strip(length: usize, num_folds: usize) -> FlatChart {
+        let x_at = |k: usize| {
+            let phase = k % (2 * length);
+            phase.min(2 * length - phase) as f64
+        };
+        let num_steps = length * (num_folds + 1) + 1;
+        let edge = |y: f64| -> Vec<Point> {
+            let rise = |k: usize| 1e-3 * k as f64;
+            (0..num_steps).map(|k| [x_at(k), y + rise(k)]).collect()
+        };
+        strip(&edge(0.0), &edge(1.0))
+    }
+
+    fn random_fan_mesh(points: &[(usize, [i32; 2])]) -> FlatChart {
+        // Each new triangle stands on an edge of an earlier one, its tip anywhere.
+        let mut triangles: Vec<[Point; 3]> = vec![[[0.0, 0.0], [4.0, 0.0], [0.0, 4.0]]];
+        for (k, tip) in points {
+            let base = triangles[k / 3 % triangles.len()];
+            let (a, b) = (base[k % 3], base[(k + 1) % 3]);
+            triangles.push([b, a, tip.map(f64::from)]);
+        }
+        chart(triangles)
+    }
+
+    fn share_an_edge(a: &[Point; 3], b: &[Point; 3]) -> bool {
+        a.iter().filter(|p| b.contains(p)).count() >= 2
+    }
+
+    /// No overlap by brute force, connected, and each triangle once with its own corners.
+    fn check(original: &FlatChart, pieces: &[FlatChart]) {
+        let mut seen: Vec<(TriangleId, [Point; 3])> = Vec::new();
+        for piece in pieces {
+            assert_eq!(piece.triangles.len(), piece.corners_m.len());
+            assert_eq!(
+                pairs_by_brute_force(&piece.corners_m),
+                Vec::<[u32; 2]>::new()
+            );
+            let mut is_reached = vec![false; piece.corners_m.len()];
+            is_reached[0] = true;
+            let mut front = vec![0];
+            while let Some(t) = front.pop() {
+                for (other, is_reached) in is_reached.iter_mut().enumerate() {
+                    if !*is_reached && share_an_edge(&piece.corners_m[t], &piece.corners_m[other]) {
+                        *is_reached = true;
+                        front.push(other);
+                    }
+                }
+            }
+            assert!(is_reached.iter().all(|r| *r), "a piece of several parts");
+            seen.extend(
+                piece
+                    .triangles
+                    .iter()
+                    .copied()
+                    .zip(piece.corners_m.iter().copied()),
+            );
+        }
+        seen.sort_by_key(|(id, _)| *id);
+        let expected: Vec<_> = original
+            .triangles
+            .iter()
+            .copied()
+            .zip(original.corners_m.iter().copied())
+            .collect();
+        assert_eq!(seen, expected);
+    }
+
+    fn separated(chart: &FlatChart, params: &OverlapParams) -> (Vec<FlatChart>, OverlapReport) {
+        separate(vec![chart.clone()], params)
+    }
+
+    fn variants() -> [OverlapParams; 3] {
+        let default = OverlapParams::default();
+        let field_only = OverlapParams {
+            try_growing: false,
+            ..default
+        };
+        let grown_only = OverlapParams {
+            max_pairs_per_triangle: 0,
+            ..default
+        };
+        [default, field_only, grown_only]
+    }
+
+    #[test]
+    fn a_chart_without_overlap_comes_back_as_it_was() {
+        let ring = wound_strip(0.9);
+        let (pieces, report) = separated(&ring, &OverlapParams::default());
+        assert_eq!(pieces, [ring]);
+        assert_eq!(report.num_overlapping_charts, 0);
+    }
+
+    #[test]
+    fn a_strip_wound_twice_becomes_two_or_three_pieces() {
+        let spiral = wound_strip(2.0);
+        for params in variants() {
+            let (pieces, report) = separated(&spiral, &params);
+            check(&spiral, &pieces);
+            assert_eq!(report.num_overlapping_charts, 1);
+            assert_eq!(report.num_pieces, pieces.len());
+            assert!((2..=3).contains(&pieces.len()), "{} pieces", pieces.len());
+        }
+    }
+
+    #[test]
+    fn a_folded_strip_becomes_one_piece_per_layer() {
+        let folded = folded_strip(12, 3);
+        for params in variants() {
+            let (pieces, report) = separated(&folded, &params);
+            check(&folded, &pieces);
+            assert!((4..=8).contains(&pieces.len()), "{} pieces", pieces.len());
+            assert!(report.num_pieces == pieces.len());
+        }
+    }
+
+    #[test]
+    fn a_deep_stack_is_grown() {
+        let stack = chart(vec![[[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]; 300]);
+        let (pieces, report) = separated(&stack, &OverlapParams::default());
+        check(&stack, &pieces);
+        assert_eq!(pieces.len(), 300);
+        assert_eq!((report.num_crowded_charts, report.num_grown_charts), (1, 1));
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
+        #[test]
+        fn any_chart_becomes_connected_pieces_without_overlap(
+            tips in proptest::collection::vec((any::<usize>(), [0i32..9, 0i32..9]), 0..60),
+        ) {
+            let chart = random_fan_mesh(&tips);
+            for params in variants() {
+                let (pieces, report) = separated(&chart, &params);
+                if report.num_overlapping_charts > 0 {
+                    check(&chart, &pieces);
+                } else {
+                    prop_assert_eq!(pairs_by_brute_force(&chart.corners_m).len(), 0);
+                    prop_assert_eq!(&pieces, std::slice::from_ref(&chart));
+                }
+            }
+        }
+    }
+}
