@@ -19,3 +19,4 @@ pub mod geom;
 pub mod ingest;
 pub mod keyframe;
 pub mod mesh;
+pub mod texinit;

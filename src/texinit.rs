@@ -1,0 +1,3 @@
+//! TexInit: a texture atlas from a mesh and posed keyframes (L3).
+
+pub mod flatten;
