@@ -1,4 +1,4 @@
-//! TexInit: from a mesh and posed frames to an atlas with every texel coloured (L3).
+//! TexInit: from a mesh and posed frames to an initial texture (ECCV 2022, section 3.1) (L3).
 
 pub mod assign;
 pub mod flatten;
