@@ -9,10 +9,13 @@ pub mod color;
 pub mod encoded;
 pub mod frame;
 pub mod image;
+pub mod posed_frame;
 pub mod stamp;
+pub mod undistort;
 
 pub use camera::{CameraError, CameraModel, Distortion, PinholeCamera};
 pub use encoded::{ColorEncoding, DepthEncoding, EncodedColor, EncodedDepth};
 pub use frame::{FrameError, RigidTransform};
 pub use image::{ColorImage, DepthImage, ImageError};
+pub use posed_frame::{FrameDepth, PosedFrame};
 pub use stamp::Stamp;
