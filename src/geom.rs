@@ -4,12 +4,17 @@
 //! optical frames (x right, y down, z forward); images row-major from the top left with the
 //! centre of the first pixel at (0, 0); depth along z; colours are sRGB bytes at the edges.
 
+pub mod bayer;
 pub mod camera;
 pub mod color;
 pub mod encoded;
+mod file_codec;
+mod file_header;
 pub mod frame;
 pub mod image;
+mod pixel_format;
 pub mod posed_frame;
+pub mod rvl;
 pub mod stamp;
 pub mod undistort;
 
@@ -19,3 +24,4 @@ pub use frame::{FrameError, RigidTransform};
 pub use image::{ColorImage, DepthImage, ImageError};
 pub use posed_frame::{FrameDepth, PosedFrame};
 pub use stamp::Stamp;
+pub use undistort::UndistortionMap;

@@ -11,6 +11,7 @@ mod info_match;
 pub mod mesh_buffer;
 pub mod params;
 pub mod pose_buffer;
+mod pose_lookup;
 pub mod report;
 pub mod source;
 pub mod sync;

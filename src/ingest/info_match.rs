@@ -204,6 +204,9 @@ mod tests {
         }
         assert_eq!(known(&out), [(0, 0.0, false), (1, 0.0, false)]);
         matcher.push_info(Stamp::from_nanos(4), camera(7.0), &mut out);
-        assert_eq!(known(&out)[2..], [(2, 7.0, false), (3, 7.0, false), (4, 7.0, true)]);
+        assert_eq!(
+            known(&out)[2..],
+            [(2, 7.0, false), (3, 7.0, false), (4, 7.0, true)]
+        );
     }
 }
