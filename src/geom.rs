@@ -13,11 +13,15 @@ mod file_header;
 pub mod frame;
 pub mod image;
 mod pixel_format;
+pub mod posed_frame;
 pub mod rvl;
 pub mod stamp;
+pub mod undistort;
 
 pub use camera::{CameraError, CameraModel, Distortion, PinholeCamera};
 pub use encoded::{ColorEncoding, DepthEncoding, EncodedColor, EncodedDepth};
 pub use frame::{FrameError, RigidTransform};
 pub use image::{ColorImage, DepthImage, ImageError};
+pub use posed_frame::{FrameDepth, PosedFrame};
 pub use stamp::Stamp;
+pub use undistort::UndistortionMap;

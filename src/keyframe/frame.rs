@@ -1,6 +1,8 @@
 //! One kept frame: immutable, its images encoded.
 
-use crate::geom::{CameraModel, EncodedColor, EncodedDepth, RigidTransform, Stamp};
+use crate::geom::{CameraModel, EncodedColor, RigidTransform, Stamp};
+
+pub use crate::geom::FrameDepth as KeyframeDepth;
 
 /// Number of a keyframe in the order of admission; never reused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -35,16 +37,4 @@ pub struct Keyframe {
     pub depth: Option<KeyframeDepth>,
     /// What its pixels say of its worth.
     pub quality: FrameQuality,
-}
-
-/// The depth half of a keyframe.
-#[derive(Clone, Debug, PartialEq)]
-pub struct KeyframeDepth {
-    /// The depth image.
-    pub image: EncodedDepth,
-    /// The depth camera; its size may differ from the colour camera's.
-    pub camera: CameraModel,
-    /// Pose of the colour camera's optical frame in the depth camera's (identity when the depth
-    /// is registered to colour).
-    pub depth_from_color: RigidTransform,
 }
