@@ -13,4 +13,4 @@ pub use layout::{AtlasLayout, ChartId, PlacedChart, TexelRect};
 pub use pack::{PackError, PackParams, PackReport, PlaneChart, pack, texels_per_m_for_budget};
 pub use proof::num_shared_texels;
 pub use texels::{for_each_texel, for_each_texel_within};
-pub use texture::{AtlasTexture, TexelSource, TexturePage};
+pub use texture::{AtlasTexture, TexelSource, TextureMismatch, TexturePage};
