@@ -1,7 +1,13 @@
 //! Triangle meshes: validated storage, connectivity, and what makes any soup manifold (L1).
 
+pub mod adjacency;
+pub mod components;
 pub mod ids;
+pub mod manifold;
 pub mod tri_mesh;
+pub mod weld;
 
 pub use ids::{TriangleId, VertexId};
+pub use manifold::{Manifold, ManifoldReport};
 pub use tri_mesh::{MeshError, SoupReport, TriMesh};
+pub use weld::{WeldError, Welded, weld};

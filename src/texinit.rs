@@ -1,4 +1,5 @@
-//! TexInit: from a mesh and posed frames to an atlas with every texel coloured (L3).
+//! TexInit: a texture atlas from a mesh and posed keyframes (L3).
 
+pub mod fill;
 pub mod flatten;
 pub mod overlap;

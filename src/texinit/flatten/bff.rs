@@ -1,0 +1,202 @@
+//! Boundary first flattening of a disk (Sawhney and Crane 2018), scale factors zero at the
+//! boundary.
+//!
+//! With `A` the Laplacian of [`super::laplacian`] (positive, factor ½), Ω the angle defects 2π − Σθ
+//! of interior vertices and k = π − Σθ the geodesic curvatures of boundary vertices, a conformal
+//! scaling of lengths by e^u makes the surface flat when `(A u)_I = −Ω`, and then the boundary has
+//! curvature `k̃ = k + (A u)_B`. So:
+//! 1. Dirichlet to Neumann: u = 0 on the boundary (least area distortion) gives k̃;
+//! 2. the boundary curve has exterior angles k̃ and, since u = 0, the lengths of the surface,
+//!    corrected in the least-squares sense (weights 1/length) so that it closes;
+//! 3. x is the harmonic extension of the curve's x, and y the conjugate of that: the Neumann
+//!    problem with flux `−½ (x_next − x_previous)` (Hilbert transform).
+//!
+//! A disk without interior vertices is developable: its curve is the exact unfolding, step 3 is
+//! left out. Angles in radians, lengths in metres; the result is counter-clockwise.
+
+use std::f64::consts::{PI, TAU};
+
+use super::cut::Disk;
+use super::laplacian::{Metric, edge_weights};
+use super::solver::{Solver, SolverError};
+
+/// Why a disk was not flattened.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub(crate) enum BffError {
+    /// Its lengths are zero or not finite.
+    #[error("edge lengths are zero or not finite")]
+    NoMetric,
+    /// The Laplacian could not be factored.
+    #[error(transparent)]
+    Solver(#[from] SolverError),
+    /// The boundary curve cannot be closed with positive lengths.
+    #[error("boundary of {num_edges} edges cannot be closed")]
+    NotClosed { num_edges: usize },
+    /// A coordinate is not finite.
+    #[error("a flattened coordinate is not finite")]
+    NotFinite,
+}
+
+/// The plane position of each vertex of `disk`, metres.
+pub(crate) fn flatten_disk(disk: &Disk) -> Result<Vec<[f64; 2]>, BffError> {
+    let metric = Metric::new(disk).ok_or(BffError::NoMetric)?;
+    let numbering = Numbering::new(disk);
+    let curvature = Curvature::new(disk, &metric, &numbering);
+    let lengths = boundary_lengths(disk, &metric);
+    let num_interior = numbering.num_interior;
+
+    let flat = if num_interior == 0 {
+        closed_curve(&lengths, &curvature.boundary)?
+    } else {
+        let weights = numbering.renumber(edge_weights(disk, &metric));
+        let solver = Solver::new(num_interior, disk.num_vertices, weights)?;
+        let target = dirichlet_to_neumann(&solver, &curvature);
+        let curve = closed_curve(&lengths, &target)?;
+        extend(&solver, num_interior, &curve)
+    };
+    if !flat.iter().flatten().all(|c| c.is_finite()) {
+        return Err(BffError::NotFinite);
+    }
+    let place = |v: usize| flat[numbering.place[v] as usize].map(|c| c * metric.unit_m);
+    Ok((0..disk.num_vertices).map(place).collect())
+}
+
+/// Interior vertices first, then the boundary in loop order.
+pub(super) struct Numbering {
+    num_interior: usize,
+    place: Vec<u32>,
+}
+
+impl Numbering {
+    #[expect(
+        clippy::cast_possible_truncation,
+        reason = "a disk has fewer vertices than 2^32"
+    )]
+    pub(super) fn new(disk: &Disk) -> Self {
+        let num_interior = disk.num_vertices - disk.boundary.len();
+        let mut place = vec![u32::MAX; disk.num_vertices];
+        for (i, &h) in disk.boundary.iter().enumerate() {
+            let vertex = disk.vertices[h as usize / 3][h as usize % 3];
+            place[vertex as usize] = (num_interior + i) as u32;
+        }
+        let mut count = 0;
+        for slot in place.iter_mut().filter(|slot| **slot == u32::MAX) {
+            *slot = count;
+            count += 1;
+        }
+        Self {
+            num_interior,
+            place,
+        }
+    }
+
+    fn renumber(&self, mut weights: Vec<(u32, u32, f64)>) -> Vec<(u32, u32, f64)> {
+        for (a, b, _) in &mut weights {
+            *a = self.place[*a as usize];
+            *b = self.place[*b as usize];
+        }
+        weights
+    }
+}
+
+/// Angle defects Ω of interior vertices and geodesic curvatures k of boundary vertices.
+pub(super) struct Curvature {
+    pub(super) interior: Vec<f64>,
+    pub(super) boundary: Vec<f64>,
+}
+
+impl Curvature {
+    pub(super) fn new(disk: &Disk, metric: &Metric, numbering: &Numbering) -> Self {
+        let mut interior = vec![TAU; numbering.num_interior];
+        let mut boundary = vec![PI; disk.boundary.len()];
+        for (vertices, angles) in disk.vertices.iter().zip(&metric.angles) {
+            for (&vertex, angle) in vertices.iter().zip(angles) {
+                let place = numbering.place[vertex as usize] as usize;
+                match place.checked_sub(numbering.num_interior) {
+                    Some(at_boundary) => boundary[at_boundary] -= angle,
+                    None => interior[place] -= angle,
+                }
+            }
+        }
+        Self { interior, boundary }
+    }
+}
+
+fn boundary_lengths(disk: &Disk, metric: &Metric) -> Vec<f64> {
+    let length = |&h: &u32| metric.lengths[h as usize / 3][h as usize % 3];
+    disk.boundary.iter().map(length).collect()
+}
+
+/// Target curvatures of the boundary when its scale factors are zero.
+fn dirichlet_to_neumann(solver: &Solver, curvature: &Curvature) -> Vec<f64> {
+    let source: Vec<f64> = curvature.interior.iter().map(|defect| -defect).collect();
+    let scale = solver.dirichlet(&source, &vec![0.0; curvature.boundary.len()]);
+    let flux = solver.apply(&scale);
+    curvature
+        .boundary
+        .iter()
+        .zip(&flux[curvature.interior.len()..])
+        .map(|(k, flux)| k + flux)
+        .collect()
+}
+
+/// Start points of the edges of a closed curve with the given exterior angles and, nearly, the
+/// given edge lengths; angle `i` is at the start of edge `i`.
+pub(super) fn closed_curve(
+    lengths: &[f64],
+    exterior_angles: &[f64],
+) -> Result<Vec<[f64; 2]>, BffError> {
+    let not_closed = BffError::NotClosed {
+        num_edges: lengths.len(),
+    };
+    let mut heading = 0.0;
+    let tangents: Vec<[f64; 2]> = exterior_angles
+        .iter()
+        .map(|angle| {
+            heading += angle;
+            [f64::cos(heading), f64::sin(heading)]
+        })
+        .collect();
+    // Minimise Σ (l̃ - l)² / l with Σ l̃ T = 0: l̃ = l (1 - T·λ), (Σ l T Tᵀ) λ = Σ l T.
+    let (mut gap, mut xx, mut xy, mut yy) = ([0.0; 2], 0.0, 0.0, 0.0);
+    for (&length, [x, y]) in lengths.iter().zip(&tangents) {
+        gap = [gap[0] + length * x, gap[1] + length * y];
+        xx += length * x * x;
+        xy += length * x * y;
+        yy += length * y * y;
+    }
+    let determinant = xx * yy - xy * xy;
+    if determinant.is_nan() || determinant <= 1e-12 * (xx + yy) * (xx + yy) {
+        return Err(not_closed);
+    }
+    let multiplier = [
+        (yy * gap[0] - xy * gap[1]) / determinant,
+        (xx * gap[1] - xy * gap[0]) / determinant,
+    ];
+    let mut at = [0.0; 2];
+    let mut curve = Vec::with_capacity(lengths.len());
+    for (&length, [x, y]) in lengths.iter().zip(&tangents) {
+        let factor = 1.0 - (x * multiplier[0] + y * multiplier[1]);
+        if factor.is_nan() || factor <= 0.0 {
+            return Err(not_closed);
+        }
+        curve.push(at);
+        at = [at[0] + factor * length * x, at[1] + factor * length * y];
+    }
+    Ok(curve)
+}
+
+/// The harmonic extension of the curve's x and the conjugate harmonic y.
+fn extend(solver: &Solver, num_interior: usize, curve: &[[f64; 2]]) -> Vec<[f64; 2]> {
+    let boundary_x: Vec<f64> = curve.iter().map(|point| point[0]).collect();
+    let x = solver.dirichlet(&vec![0.0; num_interior], &boundary_x);
+    let num_edges = curve.len();
+    let mut flux = vec![0.0; num_interior];
+    flux.extend((0..num_edges).map(|i| {
+        let next = boundary_x[(i + 1) % num_edges];
+        let previous = boundary_x[(i + num_edges - 1) % num_edges];
+        -0.5 * (next - previous)
+    }));
+    let y = solver.neumann(&flux);
+    x.into_iter().zip(y).map(|(x, y)| [x, y]).collect()
+}
