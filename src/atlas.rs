@@ -3,14 +3,16 @@
 //! Texel coordinates are as in graphics: (0, 0) is the top-left corner of a page, the centre of
 //! the first texel is (0.5, 0.5), v points down.
 
+pub mod gutter;
 pub mod layout;
 pub mod pack;
 pub mod proof;
 pub mod texels;
 pub mod texture;
 
+pub use gutter::{GutterReport, dilate_gutters};
 pub use layout::{AtlasLayout, ChartId, PlacedChart, TexelRect};
 pub use pack::{PackError, PackParams, PackReport, PlaneChart, pack, texels_per_m_for_budget};
 pub use proof::num_shared_texels;
 pub use texels::{for_each_texel, for_each_texel_within};
-pub use texture::{AtlasTexture, TexelSource, TexturePage};
+pub use texture::{AtlasTexture, TexelSource, TextureMismatch, TexturePage};

@@ -64,3 +64,46 @@ pub struct AtlasTexture {
     /// The pages.
     pub pages: Vec<TexturePage>,
 }
+
+/// A texture that was not made for the layout it came with.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "texture has {num_pages} pages, the first wrong one {found_texel:?} texels, but the layout has \
+     {expected_pages} of {expected_texel:?}"
+)]
+pub struct TextureMismatch {
+    /// Pages of the texture.
+    pub num_pages: usize,
+    /// Pages of the layout.
+    pub expected_pages: u32,
+    /// Size of the first page that is not the layout's, by width and height.
+    pub found_texel: Option<[u32; 2]>,
+    /// Page size of the layout.
+    pub expected_texel: [u32; 2],
+}
+
+impl AtlasTexture {
+    /// Checks that there is a page of the right size for each page of the layout.
+    ///
+    /// # Errors
+    /// [`TextureMismatch`] when the number or the size of pages differs.
+    pub fn check_fits(&self, layout: &super::AtlasLayout) -> Result<(), TextureMismatch> {
+        let expected_texel = layout.page_size_texel;
+        let num_texels = expected_texel[0] as usize * expected_texel[1] as usize;
+        let wrong = self.pages.iter().find(|page| {
+            [page.width, page.height] != expected_texel
+                || page.srgb.len() != num_texels
+                || page.source.len() != num_texels
+                || page.confidence.len() != num_texels
+        });
+        if wrong.is_none() && self.pages.len() == layout.num_pages as usize {
+            return Ok(());
+        }
+        Err(TextureMismatch {
+            num_pages: self.pages.len(),
+            expected_pages: layout.num_pages,
+            found_texel: wrong.map(|page| [page.width, page.height]),
+            expected_texel,
+        })
+    }
+}
