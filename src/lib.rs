@@ -21,3 +21,4 @@ pub mod ingest;
 pub mod keyframe;
 pub mod mesh;
 pub mod metrics;
+pub mod report;
