@@ -26,3 +26,4 @@ pub mod metrics;
 pub mod render;
 pub mod texinit;
 pub mod wire;
+pub mod report;
