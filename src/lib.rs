@@ -16,6 +16,8 @@
 
 pub mod atlas;
 pub mod geom;
+#[cfg(feature = "bag")]
+pub mod import;
 pub mod ingest;
 pub mod keyframe;
 pub mod mesh;
