@@ -15,9 +15,12 @@
 //! centres at halves. See `ARCHITECTURE.md` for who may import whom.
 
 pub mod atlas;
+#[cfg(feature = "bag")]
+pub mod bag;
 pub mod geom;
 #[cfg(feature = "bag")]
 pub mod import;
 pub mod ingest;
 pub mod keyframe;
 pub mod mesh;
+pub mod wire;

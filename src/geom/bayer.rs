@@ -65,7 +65,7 @@ fn interpolate(
     reason = "a mean of bytes is at most 255"
 )]
 fn mean2(a: u8, b: u8) -> u8 {
-    ((u16::from(a) + u16::from(b) + 1) / 2) as u8
+    (u16::from(a) + u16::from(b)).div_ceil(2) as u8
 }
 
 #[expect(

@@ -106,10 +106,11 @@ pub(crate) fn jpeg_size(bytes: &[u8]) -> Result<[u32; 2], ImageError> {
         let payload = jpeg_payload(bytes, after)
             .ok_or_else(|| broken("jpeg", format!("cut off in its segment at byte {after}")))?;
         // SOF0..SOF15 without DHT (c4), JPG (c8) and DAC (cc), which share their range.
-        if matches!(marker, 0xc0..=0xcf) && !matches!(marker, 0xc4 | 0xc8 | 0xcc) {
-            if let &[_precision, h1, h0, w1, w0, ..] = payload {
-                size = Some([w1, w0, h1, h0].map(u32::from));
-            }
+        if matches!(marker, 0xc0..=0xcf)
+            && !matches!(marker, 0xc4 | 0xc8 | 0xcc)
+            && let &[_precision, h1, h0, w1, w0, ..] = payload
+        {
+            size = Some([w1, w0, h1, h0].map(u32::from));
         }
         offset = after + 2 + payload.len();
         if marker == SOS {

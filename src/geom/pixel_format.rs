@@ -154,11 +154,7 @@ impl Chroma {
         ])
     }
 
-    #[expect(
-        clippy::cast_possible_truncation,
-        clippy::cast_sign_loss,
-        reason = "clamped to 0..=255"
-    )]
+    #[expect(clippy::cast_sign_loss, reason = "clamped to 0..=255")]
     fn rgb(&self, y: u8) -> [u8; 3] {
         let luma = (i32::from(y) - 16).max(0) * 1_220_542;
         self.0
