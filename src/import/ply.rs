@@ -477,6 +477,10 @@ pub fn parse(bytes: &[u8]) -> Result<Polygons, PlyError> {
 }
 
 #[cfg(test)]
+#[expect(
+    clippy::cast_possible_truncation,
+    reason = "the sample's values are small"
+)]
 mod tests {
     use super::*;
     use proptest::prelude::*;
