@@ -195,24 +195,30 @@ impl ScanWriter {
         self.write("/tf_static", stamp, &transforms)
     }
 
-    /// The mesh, or a change of it, in the world frame. A scan's mesh is either whole or in
-    /// blocks: the two are different types, and a topic has one.
+    /// The mesh, or a change of it, in the world frame. The first call settles the topic's type:
+    /// after blocks, a whole mesh goes as the one block that replaces them all.
     ///
     /// # Errors
-    /// [`BagError`].
+    /// [`BagError`]; [`BagError::Topic`] for blocks after a whole mesh, whose type has none.
     pub fn mesh(&mut self, stamp: Stamp, update: &MeshUpdate) -> Result<(), BagError> {
         let topics = Arc::clone(&self.topics);
         let header = header(stamp, &topics.world_frame);
+        let is_new = !self.channels.contains_key(&topics.mesh);
         match update {
-            MeshUpdate::Whole(mesh) => {
+            MeshUpdate::Whole(mesh) if is_new || self.mesh_revision == 0 => {
                 let message = MeshGeometryStamped::from_mesh(header, mesh);
                 self.write(&topics.mesh, stamp, &message)
             }
-            MeshUpdate::Blocks { .. } => {
+            _ if is_new || self.mesh_revision > 0 => {
                 self.mesh_revision += 1;
                 let message = MeshUpdateMessage::from_update(header, self.mesh_revision, update);
                 self.write(&topics.mesh, stamp, &message)
             }
+            _ => Err(BagError::Topic {
+                topic: topics.mesh.clone(),
+                role: "mesh",
+                reason: "it began with a whole mesh, so it cannot go on in blocks".to_owned(),
+            }),
         }
     }
 
@@ -422,6 +428,49 @@ mod tests {
         // The message holds 32-bit floats.
         let expected = f64::from(0.1f32);
         assert_eq!(blocks[0].1.positions_m()[2].y, expected);
+    }
+
+    #[test]
+    fn a_mesh_topic_keeps_its_type() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("scan.mcap");
+        let whole = MeshUpdate::Whole(triangle());
+        let blocks = MeshUpdate::Blocks {
+            clear: false,
+            blocks: vec![(MeshBlockKey([3, 0, 0]), triangle())],
+        };
+        let stamp = Stamp::from_ros(7, 5);
+        let open = || ScanWriter::create(&path, &ScanTopics::default(), Compression::None).unwrap();
+        let mut writer = open();
+        writer.mesh(stamp, &whole).unwrap();
+        let refused = writer.mesh(stamp, &blocks);
+        assert!(matches!(refused, Err(BagError::Topic { role: "mesh", .. })));
+        writer.mesh(stamp, &whole).unwrap();
+        writer.finish().unwrap();
+        let types: Vec<_> = messages(&path)
+            .into_iter()
+            .map(|(_, name, _)| name)
+            .collect();
+        assert_eq!(types, ["mesh_msgs/msg/MeshGeometryStamped"; 2]);
+        let mut writer = open();
+        writer.mesh(stamp, &blocks).unwrap();
+        writer.mesh(stamp, &whole).unwrap();
+        writer.finish().unwrap();
+        let found = messages(&path);
+        let (_, type_name, bytes) = &found[1];
+        assert_eq!(type_name, "veneer/msg/MeshUpdate");
+        let (update, _) = MeshUpdateMessage::decode(bytes)
+            .unwrap()
+            .to_update()
+            .unwrap();
+        let MeshUpdate::Blocks {
+            clear: true,
+            blocks,
+        } = update
+        else {
+            panic!("{update:?} does not replace the blocks");
+        };
+        assert_eq!(blocks.len(), 1);
     }
 
     #[test]

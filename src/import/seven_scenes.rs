@@ -40,7 +40,15 @@ fn read_pose(path: &Path) -> Result<RigidTransform, String> {
 pub(super) fn list(folder: &Path, options: &ImportOptions) -> Result<Scan, ImportError> {
     let mut scan = Scan::default();
     let intrinsics = options.intrinsics_px.map_or(CAMERA, Intrinsics::pinhole);
-    for name in file_names(folder)? {
+    let names = file_names(folder)?;
+    let is_scene = |name: &String| name.starts_with("seq-") && folder.join(name).is_dir();
+    if let Some(sequence) = names.iter().find(|name| is_scene(name)) {
+        return Err(ImportError::Malformed {
+            path: folder.to_owned(),
+            reason: format!("this is a scene; name one of its sequences, such as {sequence}"),
+        });
+    }
+    for name in names {
         let Some(number) = number_in_name(&name, "frame-", ".color.png") else {
             continue;
         };
