@@ -19,6 +19,8 @@ pub mod atlas;
 pub mod bag;
 pub mod export;
 pub mod geom;
+#[cfg(feature = "bag")]
+pub mod import;
 pub mod ingest;
 pub mod keyframe;
 pub mod mesh;
