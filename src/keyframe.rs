@@ -1,7 +1,15 @@
 //! Keyframes: which frames are kept, and where (L2).
 
+mod cache;
 pub mod decoded;
 pub mod frame;
+mod overlap;
+pub mod quality;
+pub mod select;
+pub mod store;
 
+pub use cache::CacheReport;
 pub use decoded::{DecodedDepth, DecodedFrame};
-pub use frame::{FrameQuality, Keyframe, KeyframeId};
+pub use frame::{FrameQuality, Keyframe, KeyframeDepth, KeyframeId};
+pub use select::KeyframeParams;
+pub use store::{Admission, KeyframeReport, KeyframeStore, RejectReason};
