@@ -349,6 +349,10 @@ impl Walk<'_> {
 
     /// Where to go on after a break in the framing, if anywhere.
     fn broken(&mut self, at: usize, broken: &Broken, index: &mut BagIndex) -> Option<usize> {
+        // Some of its message indexes may be behind the break.
+        if let Some(chunk) = &mut self.pending_chunk {
+            chunk.channels = None;
+        }
         // A chunk that is cut off still gives its first messages.
         if let Broken::CutOff {
             opcode: Some(op::CHUNK),
