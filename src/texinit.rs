@@ -2,3 +2,7 @@
 
 pub mod assign;
 pub mod flatten;
+pub mod transfer;
+
+#[cfg(test)]
+pub(crate) mod analytic_scene;
