@@ -6,3 +6,7 @@ pub mod assign;
 pub mod fill;
 pub mod flatten;
 pub mod overlap;
+pub mod transfer;
+
+#[cfg(test)]
+pub(crate) mod analytic_scene;

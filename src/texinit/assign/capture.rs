@@ -45,6 +45,7 @@ impl Capture {
             }
             let rows: [[f64; 4]; 4] = std::array::from_fn(|r| list(&entry["c2w"][r]));
             poses.push(FramePose {
+                id: entry["id"].as_u64().unwrap() as u32,
                 world_from_camera: RigidTransform::try_from_matrix(&rows).unwrap(),
                 quality: FrameQuality::default(),
             });

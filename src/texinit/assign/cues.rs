@@ -13,20 +13,24 @@ use super::{AssignParams, ColorReference, FramePose};
 /// The resolution cue is 0 at this many pixels per metre.
 const REFERENCE_PX_PER_M: f64 = 100.0;
 
-/// The sum of three sRGB colours, ten bits a channel.
+/// The sum of three sRGB colours, ten bits a channel; the top bit is free for a mark.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct TripleColor(u32);
 
 impl TripleColor {
-    fn new(colors: [[u8; 3]; 3]) -> Self {
+    fn new(colors: [[u8; 3]; 3], is_marked: bool) -> Self {
         let sums: [u32; 3] =
             std::array::from_fn(|c| colors.iter().map(|color| u32::from(color[c])).sum());
-        Self(sums[0] << 20 | sums[1] << 10 | sums[2])
+        Self(u32::from(is_marked) << 31 | sums[0] << 20 | sums[1] << 10 | sums[2])
     }
 
     /// Sums of three bytes.
     pub(crate) fn sums(self) -> [u32; 3] {
-        [self.0 >> 20, (self.0 >> 10) & 0x3ff, self.0 & 0x3ff]
+        [
+            (self.0 >> 20) & 0x3ff,
+            (self.0 >> 10) & 0x3ff,
+            self.0 & 0x3ff,
+        ]
     }
 }
 
@@ -38,8 +42,15 @@ pub(crate) struct Candidate {
     pub(crate) score: f32,
     /// Projected area in px² of the image.
     pub(crate) area_px2: f32,
-    /// Colours at the three vertices.
+    /// Colours at the three vertices, marked where part of the triangle is hidden.
     pub(crate) colors: TripleColor,
+}
+
+impl Candidate {
+    /// Whether part of the triangle is hidden in the frame.
+    pub(crate) fn is_partly_hidden(&self) -> bool {
+        self.colors.0 >> 31 != 0
+    }
 }
 
 /// What one frame says of all triangles.
@@ -109,7 +120,10 @@ pub(crate) fn score_frame(
                 triangle,
                 score,
                 area_px2,
-                colors: TripleColor::new(corners.map(|corner| corner.srgb)),
+                colors: TripleColor::new(
+                    corners.map(|corner| corner.srgb),
+                    seen.hidden_share > 0.0,
+                ),
             });
         }
     }

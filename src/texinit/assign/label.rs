@@ -114,6 +114,7 @@ impl CandidateTable {
             Some(pairwise) => pairwise::solve(&ranked, &adjacency, pairwise),
             None => unary.clone(),
         };
+        let is_partly_hidden = self.partly_hidden(&label);
         let (num_seams_unary, _) = count_seams(&unary, &adjacency);
         let (num_seams, num_inner_edges) = count_seams(&label, &adjacency);
         let mut is_used = vec![false; self.columns.last().map_or(0, |c| c.frame as usize + 1)];
@@ -141,8 +142,22 @@ impl CandidateTable {
             mean_srgb: self.triangle_colors.iter().map(mean_byte).collect(),
             label,
             num_views,
+            is_partly_hidden,
             report,
         }
+    }
+
+    fn partly_hidden(&self, label: &[Option<u32>]) -> Vec<bool> {
+        let mut is_partly_hidden = vec![false; label.len()];
+        for column in &self.columns {
+            for candidate in &column.candidates {
+                let triangle = candidate.triangle as usize;
+                if candidate.is_partly_hidden() && label[triangle] == Some(column.frame) {
+                    is_partly_hidden[triangle] = true;
+                }
+            }
+        }
+        is_partly_hidden
     }
 
     /// Per triangle: the colour that C3 compares with.

@@ -319,3 +319,162 @@ impl Neighbours {
         &self.others[self.first[triangle]..self.first[triangle + 1]]
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Point3;
+    use proptest::prelude::*;
+
+    fn ranked_of(scores: &[Vec<(u32, f32)>], width: usize) -> Ranked {
+        let mut ranked = Ranked::new(scores.len(), width);
+        for (triangle, offers) in scores.iter().enumerate() {
+            for &(frame, score) in offers {
+                ranked.offer(triangle, frame, score);
+            }
+        }
+        ranked
+    }
+
+    fn value(
+        scores: &[Vec<(u32, f32)>],
+        adjacency: &[[u32; 2]],
+        weight: f32,
+        labels: &[Option<u32>],
+    ) -> f64 {
+        let unary: f64 = scores
+            .iter()
+            .zip(labels)
+            .filter_map(|(offers, label)| {
+                let label = (*label)?;
+                offers
+                    .iter()
+                    .find(|(frame, _)| *frame == label)
+                    .map(|(_, s)| f64::from(*s))
+            })
+            .sum();
+        let equal = adjacency
+            .iter()
+            .filter(|[i, j]| {
+                labels[*i as usize].is_some() && labels[*i as usize] == labels[*j as usize]
+            })
+            .count();
+        unary + f64::from(weight) * equal as f64
+    }
+
+    fn problem() -> impl Strategy<Value = (Vec<Vec<(u32, f32)>>, Vec<[u32; 2]>, f32)> {
+        let offers = prop::collection::vec(
+            prop::collection::btree_map(0u32..4, -1.0..1.0f32, 0..4),
+            2..7,
+        );
+        (
+            offers,
+            prop::collection::vec((0u32..7, 0u32..7), 0..9),
+            0.0..1.0f32,
+        )
+            .prop_map(|(offers, edges, weight)| {
+                let num = offers.len() as u32;
+                let mut edges: Vec<[u32; 2]> = edges
+                    .into_iter()
+                    .map(|(i, j)| [(i % num).min(j % num), (i % num).max(j % num)])
+                    .filter(|[i, j]| i != j)
+                    .collect();
+                edges.sort_unstable();
+                edges.dedup();
+                (
+                    offers
+                        .into_iter()
+                        .map(|o| o.into_iter().collect())
+                        .collect(),
+                    edges,
+                    weight,
+                )
+            })
+    }
+
+    fn best_by_enumeration(scores: &[Vec<(u32, f32)>], adjacency: &[[u32; 2]], weight: f32) -> f64 {
+        let mut best = f64::NEG_INFINITY;
+        let total: usize = scores.iter().map(|offers| offers.len().max(1)).product();
+        for code in 0..total {
+            let mut rest = code;
+            let labels: Vec<Option<u32>> = scores
+                .iter()
+                .map(|offers| {
+                    let num = offers.len().max(1);
+                    let label = offers.get(rest % num).map(|offer| offer.0);
+                    rest /= num;
+                    label
+                })
+                .collect();
+            best = best.max(value(scores, adjacency, weight, &labels));
+        }
+        best
+    }
+
+    proptest! {
+        #[test]
+        fn the_dual_never_rises_and_bounds_every_labelling((scores, adjacency, weight) in problem()) {
+            let ranked = ranked_of(&scores, 4);
+            let best = best_by_enumeration(&scores, &adjacency, weight);
+            let mut messages = Messages::new(&ranked, &adjacency, weight);
+            let mut dual = messages.dual_value();
+            for _ in 0..20 {
+                messages.sweep();
+                let next = messages.dual_value();
+                prop_assert!(next <= dual + 1e-5, "{next} after {dual}");
+                prop_assert!(next >= best - 1e-4, "{next} under {best}");
+                dual = next;
+            }
+            let params = PairwiseParams { weight, ..PairwiseParams::default() };
+            let found = value(&scores, &adjacency, weight, &solve(&ranked, &adjacency, &params));
+            let alone = value(&scores, &adjacency, weight, &ranked.best_labels());
+            prop_assert!(found <= best + 1e-5);
+            // Trees are solved; loops of this size come close.
+            prop_assert!(found >= alone - 1e-5 || found >= best - 0.25 * f64::from(weight));
+        }
+    }
+
+    #[test]
+    fn a_chain_is_solved_exactly() {
+        let scores: Vec<Vec<(u32, f32)>> = (0..9u8)
+            .map(|i| {
+                vec![
+                    (0, f32::from(i % 3) * 0.2),
+                    (1, 0.25),
+                    (2, f32::from(i % 2) * 0.5),
+                ]
+            })
+            .collect();
+        let adjacency: Vec<[u32; 2]> = (0..8).map(|i| [i, i + 1]).collect();
+        for weight in [0.0, 0.1, 0.3, 1.0] {
+            let params = PairwiseParams {
+                weight,
+                num_sweeps: 40,
+                ..PairwiseParams::default()
+            };
+            let labels = solve(&ranked_of(&scores, 3), &adjacency, &params);
+            let found = value(&scores, &adjacency, weight, &labels);
+            let best = best_by_enumeration(&scores, &adjacency, weight);
+            assert!((found - best).abs() < 1e-4, "{found} of {best} at {weight}");
+        }
+    }
+
+    #[test]
+    fn ranking_keeps_the_best_and_gives_ties_to_the_later_frame() {
+        let ranked = ranked_of(&[vec![(0, 1.0), (3, 2.0), (5, 2.0), (7, 0.5)], vec![]], 2);
+        let frames: Vec<u32> = ranked.of(0).iter().map(|choice| choice.frame).collect();
+        assert_eq!(frames, [5, 3]);
+        assert_eq!(ranked.best_labels(), [Some(5), None]);
+    }
+
+    #[test]
+    fn pairs_share_an_edge() {
+        let corners = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0], [2.0, 2.0]];
+        let positions = corners.map(|[x, y]| Point3::new(x, y, 0.0)).to_vec();
+        let triangles = vec![[0, 1, 2], [0, 2, 3], [2, 4, 3], [2, 0, 4], [1, 1, 2]];
+        let (mesh, _) = TriMesh::from_soup(positions, triangles).unwrap();
+        let pairs = adjacent_pairs(&mesh);
+        // Edge 0–2 has three triangles, edge 1–2 two, edges 2–3 and 2–4 two each.
+        assert_eq!(pairs, [[0, 1], [0, 4], [1, 2], [1, 3], [2, 3]]);
+    }
+}

@@ -1,0 +1,213 @@
+//! Texels that show a mean over frames: exact sums in linear light.
+
+use rayon::prelude::*;
+
+use crate::atlas::texels::for_each_texel_within;
+use crate::atlas::{AtlasLayout, TexelSource, TexturePage};
+use crate::geom::color::srgb_from_linear;
+use crate::geom::{PinholeCamera, RigidTransform};
+use crate::mesh::{TriMesh, TriangleId};
+use crate::texinit::assign::validity::{DepthProbe, depth_difference_m};
+
+use super::sampler::TriangleSampler;
+use super::{FrameLook, MEAN_CONFIDENCE, TransferParams};
+
+/// Triangles that one task works on.
+const TASK_SIZE: usize = 256;
+
+/// Linear light is summed in steps of 1/65535.
+const STEPS: f32 = 65535.0;
+
+/// Views of a point away from depth edges weigh this much more than views beside one.
+const CLEAR_WEIGHT: u32 = 8;
+
+/// Weights that a sum of 32 bits has room for; what comes after leaves the mean as it is.
+const MAX_WEIGHT: u32 = 65_537;
+
+/// Sum over frames.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+struct LinearSum {
+    sum: [u32; 3],
+    weight: u32,
+}
+
+impl LinearSum {
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "linear light is in [0, 1]; float to int casts saturate"
+    )]
+    fn add(&mut self, linear: [f32; 3], weight: u32) {
+        if self.weight + weight <= MAX_WEIGHT {
+            self.weight += weight;
+            for (sum, value) in self.sum.iter_mut().zip(linear) {
+                *sum += weight * (value.clamp(0.0, 1.0) * STEPS).round() as u32;
+            }
+        }
+    }
+
+    fn srgb(&self) -> Option<[u8; 3]> {
+        #[expect(clippy::cast_possible_truncation, reason = "rounding to f32 is meant")]
+        let mean = |sum: u32| (f64::from(sum) / f64::from(self.weight) / f64::from(STEPS)) as f32;
+        (self.weight > 0).then(|| self.sum.map(|sum| srgb_from_linear(mean(sum))))
+    }
+}
+
+/// The sums of all texels of some triangles.
+pub(super) struct MeanTexels {
+    triangles: Vec<TriangleId>,
+    /// Per triangle: its first sum; and the number of sums.
+    first: Vec<usize>,
+    sums: Vec<LinearSum>,
+}
+
+impl MeanTexels {
+    pub(super) fn new(layout: &AtlasLayout, triangles: impl Iterator<Item = TriangleId>) -> Self {
+        let triangles: Vec<TriangleId> = triangles.collect();
+        let mut first = vec![0];
+        let mut num_texels = 0;
+        for triangle in &triangles {
+            let corners = &layout.corners_texel[triangle.index()];
+            for_each_texel_within(corners, layout.page_size_texel, |_, _, _| num_texels += 1);
+            first.push(num_texels);
+        }
+        Self {
+            triangles,
+            first,
+            sums: vec![LinearSum::default(); num_texels],
+        }
+    }
+
+    pub(super) fn is_empty(&self) -> bool {
+        self.sums.is_empty()
+    }
+
+    /// Whether a camera may see one of the triangles, were nothing in its way.
+    pub(super) fn any_in_view(
+        &self,
+        mesh: &TriMesh,
+        camera: &PinholeCamera,
+        camera_from_world: &RigidTransform,
+    ) -> bool {
+        self.triangles.iter().any(|&triangle| {
+            let corners = mesh
+                .corners_m(triangle)
+                .map(|p| camera_from_world.transform_point(&p));
+            may_see(camera, &corners)
+        })
+    }
+
+    /// Adds what a group of frames sees, frame by frame.
+    pub(super) fn accumulate(
+        &mut self,
+        mesh: &TriMesh,
+        layout: &AtlasLayout,
+        looks: &[FrameLook],
+        params: &TransferParams,
+    ) {
+        let mut tasks = vec![];
+        let mut rest = self.sums.as_mut_slice();
+        for (task, triangles) in self.triangles.chunks(TASK_SIZE).enumerate() {
+            let start = task * TASK_SIZE;
+            let firsts = &self.first[start..=start + triangles.len()];
+            let (sums, tail) = rest.split_at_mut(firsts[triangles.len()] - firsts[0]);
+            rest = tail;
+            tasks.push((triangles, firsts, sums));
+        }
+        tasks.into_par_iter().for_each(|(triangles, firsts, sums)| {
+            for look in looks {
+                for (&triangle, range) in triangles.iter().zip(firsts.windows(2)) {
+                    let range = range[0] - firsts[0]..range[1] - firsts[0];
+                    add_triangle(mesh, layout, look, params, triangle, &mut sums[range]);
+                }
+            }
+        });
+    }
+
+    /// Writes the means to the texels that no frame painted; returns how many got a colour and
+    /// how many did not.
+    pub(super) fn write(&self, layout: &AtlasLayout, pages: &mut [TexturePage]) -> (usize, usize) {
+        let (mut num_mean, mut num_unseen) = (0, 0);
+        for (&triangle, &first) in self.triangles.iter().zip(&self.first) {
+            let page = &mut pages[layout.page_of(triangle) as usize];
+            let width = page.width as usize;
+            let mut sums = self.sums[first..].iter();
+            let corners = &layout.corners_texel[triangle.index()];
+            for_each_texel_within(corners, layout.page_size_texel, |x, y, _| {
+                let sum = sums.next();
+                let index = y as usize * width + x as usize;
+                if page.source[index] != TexelSource::NONE {
+                    return;
+                }
+                if let Some(srgb) = sum.and_then(LinearSum::srgb) {
+                    page.srgb[index] = srgb;
+                    page.source[index] = TexelSource::MEAN;
+                    page.confidence[index] = MEAN_CONFIDENCE;
+                    num_mean += 1;
+                } else {
+                    num_unseen += 1;
+                }
+            });
+        }
+        (num_mean, num_unseen)
+    }
+}
+
+/// Whether the triangle is in front of the camera and its box in the image meets the image.
+fn may_see(camera: &PinholeCamera, corners_in_camera: &[nalgebra::Point3<f64>; 3]) -> bool {
+    let [Some(a), Some(b), Some(c)] = corners_in_camera.map(|p| camera.project(&p)) else {
+        return false;
+    };
+    let sides = [camera.width(), camera.height()];
+    (0..2).all(|axis| {
+        let low = a[axis].min(b[axis]).min(c[axis]);
+        let high = a[axis].max(b[axis]).max(c[axis]);
+        high >= 0.0 && low <= f64::from(sides[axis] - 1)
+    })
+}
+
+fn add_triangle(
+    mesh: &TriMesh,
+    layout: &AtlasLayout,
+    look: &FrameLook,
+    params: &TransferParams,
+    triangle: TriangleId,
+    sums: &mut [LinearSum],
+) {
+    let Some(visibility) = &look.visibility else {
+        return;
+    };
+    let camera = &look.frame.color_camera;
+    let corners = mesh
+        .corners_m(triangle)
+        .map(|p| look.camera_from_world.transform_point(&p));
+    if !may_see(camera, &corners) {
+        return;
+    }
+    let corners_texel = &layout.corners_texel[triangle.index()];
+    let Some(sampler) = TriangleSampler::new(corners, corners_texel, camera, params.max_samples)
+    else {
+        return;
+    };
+    let depth = look.frame.depth.as_ref().map(DepthProbe::new);
+    let mut sums = sums.iter_mut();
+    for_each_texel_within(corners_texel, layout.page_size_texel, |_, _, weights| {
+        let Some(sum) = sums.next() else { return };
+        let texel = sampler.at(weights);
+        let Some(point) = texel.surface_point().filter(|_| texel.is_inside()) else {
+            return;
+        };
+        let position = camera.unproject(point.position_px, point.depth_m);
+        let difference_m = depth_difference_m(depth.as_ref(), &position);
+        // Where nothing was measured the mesh decides.
+        let is_measured_elsewhere =
+            difference_m.is_finite() && difference_m > params.max_depth_difference_m;
+        if !is_measured_elsewhere
+            && visibility.is_visible(&point)
+            && let Some(linear) = texel.linear_color(&look.frame.color)
+        {
+            let is_clear = !visibility.is_near_depth_edge(&point);
+            sum.add(linear, if is_clear { CLEAR_WEIGHT } else { 1 });
+        }
+    });
+}

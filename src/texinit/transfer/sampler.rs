@@ -1,0 +1,220 @@
+//! From a texel of a triangle to its colour in one image.
+
+use std::sync::LazyLock;
+
+use nalgebra::{Point3, Vector3};
+
+use crate::geom::color::{linear_from_srgb, srgb_from_linear};
+use crate::geom::{ColorImage, PinholeCamera};
+use crate::render::SurfacePoint;
+use crate::render::visibility::depth_slope_m;
+
+/// One triangle seen by one camera.
+pub(super) struct TriangleSampler {
+    /// Corners as (column · z, row · z, z).
+    corners: [Vector3<f64>; 3],
+    /// Change of the same per texel to the right and per texel down.
+    per_texel: [Vector3<f64>; 2],
+    num_samples: [u32; 2],
+    pixels_per_texel: f64,
+    sin_elevation: f64,
+    slope_m: f64,
+    max_px: [f64; 2],
+}
+
+impl TriangleSampler {
+    /// `None` for a triangle without area on its page, or with a corner behind the camera.
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "float to int casts saturate, and the value is clamped"
+    )]
+    pub(super) fn new(
+        corners_in_camera: [Point3<f64>; 3],
+        corners_texel: &[[f32; 2]; 3],
+        camera: &PinholeCamera,
+        max_samples: u32,
+    ) -> Option<Self> {
+        let [fx, fy, cx, cy] = camera.intrinsics_px();
+        let corners =
+            corners_in_camera.map(|p| Vector3::new(fx * p.x + cx * p.z, fy * p.y + cy * p.z, p.z));
+        let [a, b, c] = corners_texel.map(|corner| corner.map(f64::from));
+        let (u, v) = ([b[0] - a[0], b[1] - a[1]], [c[0] - a[0], c[1] - a[1]]);
+        let area2_texel = u[0] * v[1] - u[1] * v[0];
+        let (along_u, along_v) = (corners[1] - corners[0], corners[2] - corners[0]);
+        let per_texel = [
+            (along_u * v[1] - along_v * u[1]) / area2_texel,
+            (along_v * u[0] - along_u * v[0]) / area2_texel,
+        ];
+        let is_usable = area2_texel != 0.0
+            && corners.iter().all(|h| h.z > 0.0)
+            && per_texel.iter().flatten().all(|value| value.is_finite());
+        if !is_usable {
+            return None;
+        }
+
+        let center = (corners[0] + corners[1] + corners[2]) / 3.0;
+        let pixels = per_texel.map(|step| {
+            // Derivative of (h.x / h.z, h.y / h.z).
+            [0, 1].map(|axis| (step[axis] - center[axis] / center.z * step.z) / center.z)
+        });
+        let reach = max_samples.clamp(1, 16);
+        let num_samples = pixels.map(|[x, y]| {
+            let footprint_px = x.hypot(y);
+            // A quarter of a pixel more than one sample's reach is not worth a second sample.
+            ((footprint_px - 0.25).ceil() as u32).clamp(1, reach)
+        });
+        let area_px2 = (pixels[0][0] * pixels[1][1] - pixels[0][1] * pixels[1][0]).abs();
+        let [p, q, r] = corners_in_camera;
+        let normal = (q - p).cross(&(r - p));
+        let view = (p.coords + q.coords + r.coords) / 3.0;
+        let sin_elevation = normal.dot(&view).abs() / (normal.norm() * view.norm());
+        Some(Self {
+            corners,
+            per_texel,
+            num_samples,
+            pixels_per_texel: area_px2.sqrt(),
+            sin_elevation: if sin_elevation.is_finite() {
+                sin_elevation
+            } else {
+                0.0
+            },
+            slope_m: depth_slope_m(camera, &Point3::from(view), &normal),
+            max_px: [camera.width(), camera.height()].map(|side| f64::from(side - 1)),
+        })
+    }
+
+    /// How far the image's colours can be trusted here.
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "clamped to a byte before the cast"
+    )]
+    pub(super) fn confidence(&self) -> u8 {
+        (255.0 * self.pixels_per_texel.min(1.0) * self.sin_elevation)
+            .round()
+            .clamp(1.0, 255.0) as u8
+    }
+
+    /// The texel with these barycentric weights.
+    pub(super) fn at(&self, weights: [f32; 3]) -> TexelSampler<'_> {
+        let [a, b, c] = weights.map(f64::from);
+        TexelSampler {
+            triangle: self,
+            center: self.corners[0] * a + self.corners[1] * b + self.corners[2] * c,
+        }
+    }
+}
+
+/// One texel of a triangle.
+pub(super) struct TexelSampler<'a> {
+    triangle: &'a TriangleSampler,
+    center: Vector3<f64>,
+}
+
+impl TexelSampler<'_> {
+    /// Where the camera sees the texel's centre; `None` behind the camera.
+    pub(super) fn surface_point(&self) -> Option<SurfacePoint> {
+        let h = &self.center;
+        (h.z > 0.0).then(|| SurfacePoint {
+            position_px: [h.x / h.z, h.y / h.z],
+            depth_m: h.z,
+            slope_m: self.triangle.slope_m,
+        })
+    }
+
+    /// Whether the image has a colour for the texel's centre.
+    pub(super) fn is_inside(&self) -> bool {
+        let [max_x, max_y] = self.triangle.max_px;
+        self.surface_point().is_some_and(|point| {
+            let [x, y] = point.position_px;
+            x >= 0.0 && y >= 0.0 && x <= max_x && y <= max_y
+        })
+    }
+
+    /// sRGB of the texel; `None` behind the camera. Lookups are clamped to the image.
+    pub(super) fn color(&self, image: &ColorImage) -> Option<[u8; 3]> {
+        if self.triangle.num_samples == [1, 1] {
+            return Some(sample(image, &self.center)?.map(round_byte));
+        }
+        self.linear_color(image)
+            .map(|linear| linear.map(srgb_from_linear_fast))
+    }
+
+    /// Linear light in [0, 1], averaged over the texel's footprint.
+    pub(super) fn linear_color(&self, image: &ColorImage) -> Option<[f32; 3]> {
+        let [columns, rows] = self.triangle.num_samples;
+        let mut sum = [0.0f32; 3];
+        let mut num = 0u16;
+        let offset = |i: u32, n: u32| (f64::from(i) + 0.5) / f64::from(n) - 0.5;
+        for j in 0..rows {
+            for i in 0..columns {
+                let h = self.center
+                    + self.triangle.per_texel[0] * offset(i, columns)
+                    + self.triangle.per_texel[1] * offset(j, rows);
+                if h.z > 0.0 {
+                    num += 1;
+                    let linear = sample_linear(image, [h.x / h.z, h.y / h.z]);
+                    for (sum, value) in sum.iter_mut().zip(linear) {
+                        *sum += value;
+                    }
+                }
+            }
+        }
+        (num > 0).then(|| sum.map(|sum| sum / f32::from(num)))
+    }
+}
+
+/// Bilinear sample in linear light; averages of sRGB samples would be too dark at edges.
+#[expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "clamped to the image before the casts"
+)]
+fn sample_linear(image: &ColorImage, [x_px, y_px]: [f64; 2]) -> [f32; 3] {
+    let x_px = x_px.clamp(0.0, f64::from(image.width() - 1));
+    let y_px = y_px.clamp(0.0, f64::from(image.height() - 1));
+    let (x, y) = (x_px as u32, y_px as u32);
+    let (fx, fy) = ((x_px - f64::from(x)) as f32, (y_px - f64::from(y)) as f32);
+    let pixels = [(x, y), (x + 1, y), (x, y + 1), (x + 1, y + 1)]
+        .map(|(x, y)| image.pixel_clamped(x, y).map(linear_from_srgb));
+    std::array::from_fn(|c| {
+        let top = pixels[0][c] + fx * (pixels[1][c] - pixels[0][c]);
+        let bottom = pixels[2][c] + fx * (pixels[3][c] - pixels[2][c]);
+        top + fy * (bottom - top)
+    })
+}
+
+fn sample(image: &ColorImage, h: &Vector3<f64>) -> Option<[f32; 3]> {
+    #[expect(clippy::cast_possible_truncation, reason = "rounding to f32 is meant")]
+    let position_px = [(h.x / h.z) as f32, (h.y / h.z) as f32];
+    (h.z > 0.0).then(|| image.sample_bilinear(position_px))
+}
+
+#[expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "float to int casts saturate"
+)]
+fn round_byte(value: f32) -> u8 {
+    (value + 0.5) as u8
+}
+
+/// Steps fine enough that even near black, where sRGB is steepest, a step is a twentieth of a byte.
+const NUM_LINEAR_STEPS: u16 = u16::MAX;
+
+static SRGB_FROM_LINEAR: LazyLock<Vec<u8>> = LazyLock::new(|| {
+    (0..=NUM_LINEAR_STEPS)
+        .map(|step| srgb_from_linear(f32::from(step) / f32::from(NUM_LINEAR_STEPS)))
+        .collect()
+});
+
+#[expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "clamped to the table before the cast"
+)]
+fn srgb_from_linear_fast(linear: f32) -> u8 {
+    let step = (linear.clamp(0.0, 1.0) * f32::from(NUM_LINEAR_STEPS)).round() as usize;
+    SRGB_FROM_LINEAR.get(step).copied().unwrap_or(0)
+}
