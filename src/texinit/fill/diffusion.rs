@@ -1,0 +1,222 @@
+//! Harmonic colours on a mesh: each free vertex becomes the mean of its neighbours, weighted by
+//! the inverse length of the edge between them, while vertices with a colour keep it.
+//!
+//! The weights are positive, so no colour leaves the range of those given (the maximum principle);
+//! on a surface flat and regular it is linear interpolation. Started ring by ring from the given
+//! colours, then over-relaxed in that order and back; enough for a smooth blend, near convergence
+//! for regions of some dozens of rings. Sequential, in a fixed order.
+
+use std::cmp::Ordering;
+
+use super::FillParams;
+use crate::mesh::weld::equal_representatives;
+use crate::mesh::{TriMesh, TriangleId};
+
+/// Change of a linear colour in one sweep below which sweeping stops: under a tenth of a byte.
+const CONVERGED: f64 = 2e-4;
+
+/// Edges shorter than this count as this long.
+const MIN_EDGE_M: f64 = 1e-6;
+
+const ABSENT: u32 = u32::MAX;
+
+/// Vertices of a part of the surface; those of equal position are one.
+pub(super) struct SurfaceVertices {
+    /// Per triangle of the mesh and corner: the vertex, or [`ABSENT`].
+    of_corner: Vec<[u32; 3]>,
+    /// Triangles of the part.
+    triangles: Vec<TriangleId>,
+    num_vertices: usize,
+}
+
+impl SurfaceVertices {
+    pub(super) fn of(mesh: &TriMesh, is_wanted: impl Fn(usize) -> bool) -> Self {
+        let representative = equal_representatives(mesh.positions_m());
+        let mut vertex_of = vec![ABSENT; mesh.num_vertices()];
+        let mut num_vertices = 0u32;
+        let mut triangles = Vec::new();
+        for (triangle, corners) in mesh.triangle_ids().zip(mesh.triangles()) {
+            if !is_wanted(triangle.index()) {
+                continue;
+            }
+            triangles.push(triangle);
+            for &corner in corners {
+                let slot = &mut vertex_of[representative[corner as usize] as usize];
+                if *slot == ABSENT {
+                    *slot = num_vertices;
+                    num_vertices += 1;
+                }
+            }
+        }
+        let vertex_at = |corner: u32| vertex_of[representative[corner as usize] as usize];
+        Self {
+            of_corner: mesh.triangles().iter().map(|c| c.map(vertex_at)).collect(),
+            triangles,
+            num_vertices: num_vertices as usize,
+        }
+    }
+
+    pub(super) fn len(&self) -> usize {
+        self.num_vertices
+    }
+
+    pub(super) fn of_triangle(&self, triangle: TriangleId) -> [Option<usize>; 3] {
+        let corners = self.of_corner.get(triangle.index()).copied();
+        corners
+            .unwrap_or([ABSENT; 3])
+            .map(|vertex| (vertex != ABSENT).then_some(vertex as usize))
+    }
+}
+
+/// Colours of all vertices.
+pub(super) struct Diffused {
+    /// Per vertex; none where no given colour is connected.
+    pub(super) linear: Vec<Option<[f64; 3]>>,
+    pub(super) num_diffused: usize,
+    pub(super) num_sweeps: usize,
+}
+
+pub(super) fn diffuse(
+    mesh: &TriMesh,
+    vertices: &SurfaceVertices,
+    given: Vec<Option<[f64; 3]>>,
+    params: &FillParams,
+) -> Diffused {
+    let graph = Graph::new(mesh, vertices, &given);
+    let mut linear = given;
+    let order = spread(&graph, &mut linear);
+    let num_sweeps = relax(&graph, &order, &mut linear, params);
+    Diffused {
+        linear,
+        num_diffused: order.len(),
+        num_sweeps,
+    }
+}
+
+/// Per free vertex: its neighbours with the weights of the edges to them.
+struct Graph {
+    start: Vec<usize>,
+    neighbours: Vec<(u32, f64)>,
+}
+
+impl Graph {
+    fn new(mesh: &TriMesh, vertices: &SurfaceVertices, given: &[Option<[f64; 3]>]) -> Self {
+        let mut edges: Vec<(u32, u32, f64)> = Vec::new();
+        for &triangle in &vertices.triangles {
+            let ids = vertices.of_corner[triangle.index()];
+            let corners = mesh.corners_m(triangle);
+            for k in 0..3 {
+                let (from, to) = (ids[k], ids[(k + 1) % 3]);
+                let length_m = (corners[(k + 1) % 3] - corners[k]).norm();
+                let weight = 1.0 / length_m.max(MIN_EDGE_M);
+                for (from, to) in [(from, to), (to, from)] {
+                    if from != to && given[from as usize].is_none() {
+                        edges.push((from, to, weight));
+                    }
+                }
+            }
+        }
+        edges.sort_unstable_by(|a, b| (a.0, a.1).cmp(&(b.0, b.1)).then(a.2.total_cmp(&b.2)));
+        edges.dedup_by(|a, b| (a.0, a.1).cmp(&(b.0, b.1)) == Ordering::Equal);
+        let mut start = vec![0; vertices.len() + 1];
+        for edge in &edges {
+            start[edge.0 as usize + 1] += 1;
+        }
+        for k in 1..start.len() {
+            start[k] += start[k - 1];
+        }
+        Self {
+            start,
+            neighbours: edges.into_iter().map(|(_, to, w)| (to, w)).collect(),
+        }
+    }
+
+    fn of(&self, vertex: usize) -> &[(u32, f64)] {
+        &self.neighbours[self.start[vertex]..self.start[vertex + 1]]
+    }
+
+    /// Weighted mean of the neighbours that have a colour.
+    fn mean(&self, vertex: usize, linear: &[Option<[f64; 3]>]) -> Option<[f64; 3]> {
+        let (mut sum, mut total) = ([0.0; 3], 0.0);
+        for &(neighbour, weight) in self.of(vertex) {
+            if let Some(colour) = linear[neighbour as usize] {
+                for (sum, channel) in sum.iter_mut().zip(colour) {
+                    *sum += weight * channel;
+                }
+                total += weight;
+            }
+        }
+        (total > 0.0).then(|| sum.map(|channel| channel / total))
+    }
+}
+
+/// Colours free vertices from the given ones outwards, each ring from the rings before it; returns
+/// them in that order.
+fn spread(graph: &Graph, linear: &mut [Option<[f64; 3]>]) -> Vec<usize> {
+    let is_free: Vec<bool> = linear.iter().map(Option::is_none).collect();
+    let mut is_reached: Vec<bool> = is_free.iter().map(|free| !free).collect();
+    let mut ring: Vec<usize> = (0..linear.len())
+        .filter(|&v| is_free[v] && graph.of(v).iter().any(|(n, _)| !is_free[*n as usize]))
+        .collect();
+    for &vertex in &ring {
+        is_reached[vertex] = true;
+    }
+    let mut order = Vec::new();
+    while !ring.is_empty() {
+        let means: Vec<_> = ring.iter().map(|&v| graph.mean(v, linear)).collect();
+        let mut next = Vec::new();
+        for (&vertex, mean) in ring.iter().zip(means) {
+            linear[vertex] = mean;
+            for &(neighbour, _) in graph.of(vertex) {
+                if !std::mem::replace(&mut is_reached[neighbour as usize], true) {
+                    next.push(neighbour as usize);
+                }
+            }
+        }
+        order.append(&mut ring);
+        ring = next;
+    }
+    order
+}
+
+/// Successive over-relaxation, forth and back in turn; returns the number of sweeps.
+fn relax(
+    graph: &Graph,
+    order: &[usize],
+    linear: &mut [Option<[f64; 3]>],
+    params: &FillParams,
+) -> usize {
+    let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
+    for colour in linear.iter().flatten() {
+        for k in 0..3 {
+            low[k] = low[k].min(colour[k]);
+            high[k] = high[k].max(colour[k]);
+        }
+    }
+    for sweep in 0..params.max_sweeps {
+        let mut largest_change = 0.0f64;
+        let mut update = |vertex: usize| {
+            let (Some(mean), Some(colour)) = (graph.mean(vertex, linear), linear[vertex]) else {
+                return;
+            };
+            // Over-relaxing may overshoot the range, which the solution never leaves.
+            let relaxed: [f64; 3] = std::array::from_fn(|k| {
+                let change = params.over_relaxation * (mean[k] - colour[k]);
+                (colour[k] + change).max(low[k]).min(high[k])
+            });
+            for (new, old) in relaxed.iter().zip(colour) {
+                largest_change = largest_change.max((new - old).abs());
+            }
+            linear[vertex] = Some(relaxed);
+        };
+        if sweep % 2 == 0 {
+            order.iter().copied().for_each(&mut update);
+        } else {
+            order.iter().rev().copied().for_each(&mut update);
+        }
+        if largest_change < CONVERGED {
+            return sweep + 1;
+        }
+    }
+    params.max_sweeps
+}
