@@ -175,12 +175,13 @@ pub(crate) fn jpeg_rgb8(
 mod tests {
     use super::*;
 
-    fn ramp(width: u32, height: u32) -> AtlasTexture {
-        let mut page = TexturePage::blank(width, height);
-        for (i, texel) in page.srgb.iter_mut().enumerate() {
-            let x = (i % width as usize) as u8;
-            let y = (i / width as usize) as u8;
-            *texel = [x, y, x ^ y];
+    /// Two pages of 64×64 whose colour follows the column and the row.
+    fn ramp() -> AtlasTexture {
+        let mut page = TexturePage::blank(64, 64);
+        for (row, y) in page.srgb.chunks_mut(64).zip(0u8..) {
+            for (texel, x) in row.iter_mut().zip(0u8..) {
+                *texel = [x * 3, y * 3, 90];
+            }
         }
         AtlasTexture {
             pages: vec![page.clone(), page],
@@ -189,22 +190,19 @@ mod tests {
 
     #[test]
     fn png_pages_decode_to_the_same_texels() {
-        let texture = ramp(64, 32);
+        let texture = ramp();
         let encoded = EncodedPages::encode(&texture, PageFormat::Png).unwrap();
         assert_eq!(encoded.pages().len(), 2);
         let decoded = image::load_from_memory(&encoded.pages()[1])
             .unwrap()
             .into_rgb8();
-        assert_eq!(decoded.dimensions(), (64, 32));
+        assert_eq!(decoded.dimensions(), (64, 64));
         assert_eq!(decoded.as_raw(), texture.pages[1].srgb.as_flattened());
     }
 
     #[test]
     fn jpeg_pages_are_close() {
-        let mut texture = ramp(64, 64);
-        for (i, texel) in texture.pages[0].srgb.iter_mut().enumerate() {
-            *texel = [(i % 64) as u8 * 3, (i / 64) as u8 * 3, 90];
-        }
+        let texture = ramp();
         let encoded = EncodedPages::encode(&texture, PageFormat::Jpeg { quality: 92 }).unwrap();
         let decoded = image::load_from_memory(&encoded.pages()[0])
             .unwrap()

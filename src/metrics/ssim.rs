@@ -183,15 +183,16 @@ mod tests {
 
     /// The definition, window by window, in two dimensions.
     fn by_definition(a: &ColorImage, b: &ColorImage, mask: &[bool]) -> f64 {
-        let (width, height) = (a.width() as i64, a.height() as i64);
+        let (width, height) = (a.width() as usize, a.height() as usize);
         let (mut sum, mut count) = (0.0, 0.0);
         for cy in 5..height - 5 {
-            for cx in (5..width - 5).filter(|cx| mask[(cy * width + cx) as usize]) {
+            for cx in (5..width - 5).filter(|cx| mask[cy * width + cx]) {
                 let mut samples = Vec::new();
-                for dy in -5..=5i64 {
-                    for dx in -5..=5i64 {
-                        let i = ((cy + dy) * width + cx + dx) as usize;
+                for y in cy - 5..=cy + 5 {
+                    for x in cx - 5..=cx + 5 {
+                        let i = y * width + x;
                         if mask[i] {
+                            let (dx, dy) = (x.abs_diff(cx), y.abs_diff(cy));
                             let w = (-((dx * dx + dy * dy) as f64) / 4.5).exp();
                             samples.push((w, a.pixels()[i][1].into(), b.pixels()[i][1].into()));
                         }

@@ -60,17 +60,20 @@ fn header(report: &Report) -> String {
     };
     let coverage = &report.coverage;
     if coverage.num_texels > 0 {
-        let seen = coverage.keyframe_share + coverage.mean_share;
+        let painted = 1.0 - coverage.unpainted_area_share;
+        let seen = (coverage.keyframe_share + coverage.mean_share) * painted;
         figure(format!("{:.1}", seen * 100.0), " %", "of the surface seen");
     }
-    let held_out: Vec<f64> = report.views.iter().filter_map(|v| v.psnr_db).collect();
-    if !held_out.is_empty() {
-        let mean = held_out.iter().sum::<f64>() / held_out.len() as f64;
-        let label = if report.views.iter().all(|v| v.held_out) {
-            "PSNR, held-out views"
-        } else {
-            "PSNR against photos"
-        };
+    let psnr_of = |held_out: bool| -> Vec<f64> {
+        let views = report.views.iter().filter(|view| view.held_out == held_out);
+        views.filter_map(|view| view.psnr_db).collect()
+    };
+    let (psnrs, label) = match psnr_of(true) {
+        psnrs if psnrs.is_empty() => (psnr_of(false), "PSNR, views that were used"),
+        psnrs => (psnrs, "PSNR, held-out views"),
+    };
+    if !psnrs.is_empty() {
+        let mean = psnrs.iter().sum::<f64>() / psnrs.len() as f64;
         figure(format!("{mean:.1}"), " dB", label);
     }
     if report.atlas.texels_per_m > 0.0 {
@@ -83,10 +86,23 @@ fn header(report: &Report) -> String {
         figure(value, &format!(" {unit}"), "peak memory");
     }
     let mut facts = vec![
-        format!("{} triangles", tables::grouped(report.mesh.num_triangles as u64)),
-        format!("{} charts", tables::grouped(report.charts.num_charts as u64)),
-        format!("{} keyframes", tables::grouped(report.keyframes.len() as u64)),
-        format!("{} page{}", report.atlas.num_pages, plural(report.atlas.num_pages)),
+        format!(
+            "{} triangles",
+            tables::grouped(report.mesh.num_triangles as u64)
+        ),
+        format!(
+            "{} charts",
+            tables::grouped(report.charts.num_charts as u64)
+        ),
+        format!(
+            "{} keyframes",
+            tables::grouped(report.keyframes.len() as u64)
+        ),
+        format!(
+            "{} page{}",
+            report.atlas.num_pages,
+            plural(report.atlas.num_pages)
+        ),
     ];
     if report.source.duration_s > 0.0 {
         facts.push(format!("{:.0} s of recording", report.source.duration_s));
@@ -138,13 +154,14 @@ pub(super) fn section(heading: &str, lead: &str, body: &str) -> String {
 /// An `<img>` with the picture inside.
 pub(super) fn img(image: &ColorImage, alt: &str) -> Result<String, ReportError> {
     let (width, height) = (image.width(), image.height());
-    let jpeg = jpeg_rgb8(width, height, image.pixels().as_flattened(), QUALITY).map_err(
-        |reason| ReportError::Encode {
-            width,
-            height,
-            reason,
-        },
-    )?;
+    let jpeg =
+        jpeg_rgb8(width, height, image.pixels().as_flattened(), QUALITY).map_err(|reason| {
+            ReportError::Encode {
+                width,
+                height,
+                reason,
+            }
+        })?;
     Ok(format!(
         "<img width=\"{width}\" height=\"{height}\" alt=\"{}\" src=\"data:image/jpeg;base64,{}\">",
         escape(alt),

@@ -64,7 +64,11 @@ impl SourceTally {
 
     fn all_keyframes(&self) -> Tally {
         let mut total = Tally::default();
-        for (_, tally) in self.by_source.iter().filter(|(s, _)| s.as_keyframe().is_some()) {
+        for (_, tally) in self
+            .by_source
+            .iter()
+            .filter(|(s, _)| s.as_keyframe().is_some())
+        {
             total.num_texels += tally.num_texels;
             total.sum_confidence += tally.sum_confidence;
         }
@@ -206,7 +210,11 @@ fn coverage_summary(textured: &TexturedMesh<'_>, tally: &SourceTally) -> Coverag
         keyframe_share,
         mean_share,
         diffused_share,
-        unpainted_area_share: if area_m2 > 0.0 { unpainted_m2 / area_m2 } else { 0.0 },
+        unpainted_area_share: if area_m2 > 0.0 {
+            unpainted_m2 / area_m2
+        } else {
+            0.0
+        },
         mean_confidence: share(sum_confidence, num_texels) / 255.0,
     }
 }
@@ -273,7 +281,12 @@ fn score(view: &ReportView) -> Result<ViewScore, ReportError> {
     view.check()?;
     // Sizes and mask fit, which is all that the metrics refuse.
     let error = PixelError::between(&view.photo, &view.render, Some(&view.mask)).ok();
-    let similarity = ssim(&view.photo, &view.render, Some(&view.mask), SsimChannels::Rgb);
+    let similarity = ssim(
+        &view.photo,
+        &view.render,
+        Some(&view.mask),
+        SsimChannels::Rgb,
+    );
     let num_covered = view.mask.iter().filter(|covered| **covered).count() as u64;
     Ok(ViewScore {
         name: view.name.clone(),

@@ -21,12 +21,16 @@ pub fn texels(page: &TexturePage, max_side_px: u32) -> Option<ColorImage> {
 
 /// Which kind of source each texel has.
 pub fn coverage(page: &TexturePage, max_side_px: u32) -> Option<ColorImage> {
-    sampled(page, max_side_px, |index| colors::of_coverage(page.source[index]))
+    sampled(page, max_side_px, |index| {
+        colors::of_coverage(page.source[index])
+    })
 }
 
 /// Which keyframe painted each texel.
 pub fn provenance(page: &TexturePage, max_side_px: u32) -> Option<ColorImage> {
-    sampled(page, max_side_px, |index| colors::of_source(page.source[index]))
+    sampled(page, max_side_px, |index| {
+        colors::of_source(page.source[index])
+    })
 }
 
 /// How far each texel is to be trusted.
@@ -96,9 +100,8 @@ fn sampled(
 
 /// Index of the texel under the middle of a picture's pixel.
 fn texel_under(page: &TexturePage, [width, height]: [u32; 2], [x, y]: [u32; 2]) -> usize {
-    let middle = |i: u32, new: u32, old: u32| {
-        ((2 * u64::from(i) + 1) * u64::from(old) / (2 * u64::from(new))) as usize
-    };
+    let middle =
+        |i: u32, new: u32, old: u32| (2 * i as usize + 1) * old as usize / (2 * new as usize);
     middle(y, height, page.height) * page.width as usize + middle(x, width, page.width)
 }
 

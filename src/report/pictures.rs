@@ -33,7 +33,7 @@ pub fn downscale_where(
 ) -> Vec<[u8; 3]> {
     // Pixel `i` of `new` covers [start(i), start(i + 1)) of `old`, in whole pixels.
     let range = |i: u32, new: u32, old: u32| {
-        let bound = |i: u32| (u64::from(i) * u64::from(old) / u64::from(new)) as usize;
+        let bound = |i: u32| i as usize * old as usize / new as usize;
         bound(i)..bound(i + 1).max(bound(i) + 1).min(old as usize)
     };
     let rows: Vec<Vec<[u8; 3]>> = (0..new_height)
@@ -71,13 +71,18 @@ pub fn downscale(image: &ColorImage, max_side_px: u32) -> ColorImage {
     if size == [image.width(), image.height()] {
         return image.clone();
     }
-    let pixels = downscale_where(image.pixels(), [image.width(), image.height()], size, |_| true);
+    let pixels = downscale_where(
+        image.pixels(),
+        [image.width(), image.height()],
+        size,
+        |_| true,
+    );
     ColorImage::new(size[0], size[1], pixels).unwrap_or_else(|_| image.clone())
 }
 
 /// Two greys in diagonal stripes: here is no mesh.
 pub fn hatch(x: usize, y: usize) -> [u8; 3] {
-    if (x + y) / 6 % 2 == 0 {
+    if ((x + y) / 6).is_multiple_of(2) {
         [44, 46, 51]
     } else {
         [54, 57, 63]
@@ -103,7 +108,9 @@ pub fn charts(view: &ReportView, textured: &TexturedMesh<'_>) -> Option<ColorIma
     let chart_of_triangle = &textured.layout().chart_of_triangle;
     let chart_at = |index: usize| {
         let triangle = *view.triangle.get(index)?;
-        chart_of_triangle.get(triangle as usize).map(|chart| chart.0)
+        chart_of_triangle
+            .get(triangle as usize)
+            .map(|chart| chart.0)
     };
     let width = view.photo.width() as usize;
     (!view.triangle.is_empty()).then(|| {
@@ -112,8 +119,8 @@ pub fn charts(view: &ReportView, textured: &TexturedMesh<'_>) -> Option<ColorIma
                 return colors::BACKGROUND;
             };
             let differs = |other: Option<u32>| other.is_some_and(|other| other != chart);
-            let on_seam = (x + 1 < width && differs(chart_at(index + 1)))
-                || differs(chart_at(index + width));
+            let on_seam =
+                (x + 1 < width && differs(chart_at(index + 1))) || differs(chart_at(index + width));
             if on_seam {
                 colors::SEAM
             } else {
@@ -156,10 +163,7 @@ fn shade(label: [u8; 3], [r, g, b]: [u8; 3]) -> [u8; 3] {
     label.map(|c| (u32::from(c) * light / 255) as u8)
 }
 
-fn map_view(
-    view: &ReportView,
-    color: impl Fn(usize, [usize; 2]) -> [u8; 3] + Sync,
-) -> ColorImage {
+fn map_view(view: &ReportView, color: impl Fn(usize, [usize; 2]) -> [u8; 3] + Sync) -> ColorImage {
     let width = view.photo.width() as usize;
     let pixels = (0..view.photo.pixels().len())
         .into_par_iter()

@@ -11,7 +11,6 @@ use crate::mesh::TriangleId;
 
 use super::colors;
 use super::data::KeyframeRow;
-use super::measure::middle_texel;
 
 /// Space around the scan, as a share of its longer side.
 const MARGIN: f64 = 0.04;
@@ -51,7 +50,9 @@ impl Plan {
                 [x, y, p.z]
             };
             if corners.iter().all(|p| p.z <= cut_m) {
-                canvas.fill(corners.map(project), srgb_of(textured, triangle));
+                canvas.fill(corners.map(project), |weights| {
+                    srgb_at(textured, triangle, weights)
+                });
             }
         }
         Some(Self {
@@ -85,16 +86,28 @@ fn to_px(value: f64) -> u32 {
     value.round() as u32
 }
 
-fn extent(
-    textured: &TexturedMesh<'_>,
-    keyframes: &[KeyframeRow],
-) -> Option<([f64; 2], [f64; 2])> {
+fn extent(textured: &TexturedMesh<'_>, keyframes: &[KeyframeRow]) -> Option<([f64; 2], [f64; 2])> {
     let mesh = textured.mesh();
     let corners = mesh.triangles().iter().flatten();
-    let points = corners
-        .map(|&vertex| mesh.positions_m()[vertex as usize])
-        .map(|p| [p.x, p.y])
-        .chain(keyframes.iter().map(|k| [k.position_m[0], k.position_m[1]]));
+    let points = corners.map(|&vertex| mesh.positions_m()[vertex as usize]);
+    let (mut min, mut max) = bounds(points.map(|p| [p.x, p.y]));
+    let cameras = keyframes.iter().map(|k| [k.position_m[0], k.position_m[1]]);
+    let (camera_min, camera_max) = bounds(cameras);
+    // A camera may stand beside what it looks at; one that was lost must not shrink the picture.
+    let reach = (max[0] - min[0]).max(max[1] - min[1]);
+    for axis in 0..2 {
+        min[axis] = min[axis].min(camera_min[axis].max(min[axis] - reach));
+        max[axis] = max[axis].max(camera_max[axis].min(max[axis] + reach));
+    }
+    let longest = (max[0] - min[0]).max(max[1] - min[1]);
+    let is_usable = longest.is_finite() && longest > 0.0;
+    is_usable.then(|| {
+        let margin = longest * MARGIN;
+        (min.map(|m| m - margin), max.map(|m| m + margin))
+    })
+}
+
+fn bounds(points: impl Iterator<Item = [f64; 2]>) -> ([f64; 2], [f64; 2]) {
     let mut min = [f64::INFINITY; 2];
     let mut max = [f64::NEG_INFINITY; 2];
     for point in points {
@@ -103,12 +116,7 @@ fn extent(
             max[axis] = max[axis].max(point[axis]);
         }
     }
-    let longest = (max[0] - min[0]).max(max[1] - min[1]);
-    let is_usable = longest.is_finite() && longest > 0.0;
-    is_usable.then(|| {
-        let margin = longest * MARGIN;
-        (min.map(|m| m - margin), max.map(|m| m + margin))
-    })
+    (min, max)
 }
 
 fn cut_height(textured: &TexturedMesh<'_>, keyframes: &[KeyframeRow]) -> f64 {
@@ -125,9 +133,21 @@ fn cut_height(textured: &TexturedMesh<'_>, keyframes: &[KeyframeRow]) -> f64 {
     }
 }
 
-fn srgb_of(textured: &TexturedMesh<'_>, triangle: TriangleId) -> [u8; 3] {
+#[expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "corners lie within the page, and the casts saturate"
+)]
+fn srgb_at(textured: &TexturedMesh<'_>, triangle: TriangleId, weights: [f64; 3]) -> [u8; 3] {
     let page = &textured.texture().pages[textured.layout().page_of(triangle) as usize];
-    let [x, y] = middle_texel(textured, triangle);
+    let corners = textured.layout().corners_texel[triangle.index()];
+    let [x, y] = [0, 1].map(|axis| {
+        let weighted = weights.iter().zip(&corners);
+        weighted
+            .map(|(w, corner)| w * f64::from(corner[axis]))
+            .sum::<f64>() as u32
+    });
+    let (x, y) = (x.min(page.width - 1), y.min(page.height - 1));
     page.srgb[y as usize * page.width as usize + x as usize]
 }
 
@@ -150,32 +170,36 @@ impl Canvas {
     }
 
     /// Fills the pixels whose middle is in the triangle, or the one that holds its middle when
-    /// there are none; the highest wins.
-    fn fill(&mut self, [a, b, c]: [[f64; 3]; 3], srgb: [u8; 3]) {
+    /// there are none, by the corners' weights there; the highest wins.
+    fn fill(&mut self, [a, b, c]: [[f64; 3]; 3], srgb: impl Fn([f64; 3]) -> [u8; 3]) {
         let range = |axis: usize, limit: u32| {
             let low = a[axis].min(b[axis]).min(c[axis]);
             let high = a[axis].max(b[axis]).max(c[axis]);
             to_px(low.floor()).min(limit)..to_px(high.ceil()).min(limit)
         };
-        let z_m = (a[2] + b[2] + c[2]) / 3.0;
         let side = |p: [f64; 3], q: [f64; 3], x: f64, y: f64| {
             (q[0] - p[0]) * (y - p[1]) - (q[1] - p[1]) * (x - p[0])
         };
+        let area = side(a, b, c[0], c[1]);
         let mut is_empty = true;
-        for y in range(1, self.height) {
+        // A wall seen edge-on has no area: its middle stands for it.
+        for y in range(1, if area == 0.0 { 0 } else { self.height }) {
             for x in range(0, self.width) {
                 let (px, py) = (f64::from(x) + 0.5, f64::from(y) + 0.5);
-                let sides = [side(a, b, px, py), side(b, c, px, py), side(c, a, px, py)];
-                if sides.iter().all(|s| *s >= 0.0) || sides.iter().all(|s| *s <= 0.0) {
-                    self.put(x, y, z_m, srgb);
+                let sides = [side(b, c, px, py), side(c, a, px, py), side(a, b, px, py)];
+                let weights = sides.map(|side| side / area);
+                if weights.iter().all(|w| *w >= 0.0) {
+                    let z_m = weights[0] * a[2] + weights[1] * b[2] + weights[2] * c[2];
+                    self.put(x, y, z_m, srgb(weights));
                     is_empty = false;
                 }
             }
         }
         if is_empty {
-            let middle = |axis: usize| to_px(((a[axis] + b[axis] + c[axis]) / 3.0).floor());
-            let (x, y) = (middle(0).min(self.width - 1), middle(1).min(self.height - 1));
-            self.put(x, y, z_m, srgb);
+            let middle = |axis: usize| (a[axis] + b[axis] + c[axis]) / 3.0;
+            let px = |axis: usize, limit: u32| to_px(middle(axis).floor()).min(limit - 1);
+            let (x, y) = (px(0, self.width), px(1, self.height));
+            self.put(x, y, middle(2), srgb([1.0 / 3.0; 3]));
         }
     }
 

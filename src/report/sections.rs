@@ -129,7 +129,10 @@ pub(super) fn atlas(textured: &TexturedMesh<'_>) -> Result<String, ReportError> 
         );
     }
     let swatch = |color, text: &str| {
-        format!("<i class=\"swatch\" style=\"background:{}\"></i> {text} ", colors::css(color))
+        format!(
+            "<i class=\"swatch\" style=\"background:{}\"></i> {text} ",
+            colors::css(color)
+        )
     };
     push(
         &mut body,
@@ -151,7 +154,10 @@ fn page_figures(textured: &TexturedMesh<'_>, index: usize) -> Result<String, Rep
     let page = &textured.texture().pages[index];
     let side = MAX_PAGE_DIAGRAM_SIDE_PX;
     let diagrams = [
-        ("charts and seams", page_pictures::charts(textured, index, side)),
+        (
+            "charts and seams",
+            page_pictures::charts(textured, index, side),
+        ),
         ("coverage", page_pictures::coverage(page, side)),
         ("which keyframe", page_pictures::provenance(page, side)),
         ("confidence", page_pictures::confidence(page, side)),
@@ -210,7 +216,11 @@ pub(super) fn keyframes(
     body.push_str(&tables::keyframe_details(&report.keyframes));
     let lead = "Where the kept frames were taken, and how much of the texture each one painted. \
                 Colours are those of the keyframe pictures.";
-    Ok(section("Keyframes", lead, &format!("<div class=\"keyframes\">{body}</div>")))
+    Ok(section(
+        "Keyframes",
+        lead,
+        &format!("<div class=\"keyframes\">{body}</div>"),
+    ))
 }
 
 fn path_svg(plan: &Plan, keyframes: &[KeyframeRow]) -> String {
@@ -263,7 +273,12 @@ fn path_svg(plan: &Plan, keyframes: &[KeyframeRow]) -> String {
 
 fn bars_svg(keyframes: &[KeyframeRow]) -> String {
     const HEIGHT: f64 = 120.0;
-    let most = keyframes.iter().map(|k| k.num_texels).max().unwrap_or(0).max(1);
+    let most = keyframes
+        .iter()
+        .map(|k| k.num_texels)
+        .max()
+        .unwrap_or(0)
+        .max(1);
     let step = 1000.0 / keyframes.len() as f64;
     let mut svg = format!(
         "<figure class=\"bars\"><svg viewBox=\"0 0 1000 {HEIGHT}\" preserveAspectRatio=\"none\" \
@@ -285,6 +300,8 @@ fn bars_svg(keyframes: &[KeyframeRow]) -> String {
             ),
         );
     }
-    svg.push_str("</svg><figcaption>texels painted by each keyframe, in order</figcaption></figure>");
+    svg.push_str(
+        "</svg><figcaption>texels painted by each keyframe, in order</figcaption></figure>",
+    );
     svg
 }

@@ -49,7 +49,10 @@ fn table(heads: &[&str], rows: &[Vec<String>]) -> String {
         }
     };
     let mut out = String::from("<div class=\"scroll\"><table>");
-    if heads.iter().any(|head| !head.trim_end_matches('#').is_empty()) {
+    if heads
+        .iter()
+        .any(|head| !head.trim_end_matches('#').is_empty())
+    {
         out.push_str("<tr>");
         for (column, head) in heads.iter().enumerate() {
             let text = escape(head.trim_end_matches('#'));
@@ -60,7 +63,10 @@ fn table(heads: &[&str], rows: &[Vec<String>]) -> String {
     for row in rows {
         out.push_str("<tr>");
         for (column, cell) in row.iter().enumerate() {
-            push(&mut out, format_args!("<td{}>{}</td>", class(column), escape(cell)));
+            push(
+                &mut out,
+                format_args!("<td{}>{}</td>", class(column), escape(cell)),
+            );
         }
         out.push_str("</tr>");
     }
@@ -72,7 +78,10 @@ fn card(heading: &str, body: &str) -> String {
     if body.is_empty() {
         return String::new();
     }
-    format!("<div class=\"card\"><h3>{}</h3>{body}</div>", escape(heading))
+    format!(
+        "<div class=\"card\"><h3>{}</h3>{body}</div>",
+        escape(heading)
+    )
 }
 
 /// Stage times with bars.
@@ -84,7 +93,11 @@ pub(super) fn time(report: &Report) -> String {
     let total = report.total_s.max(f64::MIN_POSITIVE);
     let mut rows = String::new();
     let mut row = |name: &str, seconds: f64, class: &str| {
-        let width = if longest > 0.0 { (100.0 * seconds / longest).clamp(0.0, 100.0) } else { 0.0 };
+        let width = if longest > 0.0 {
+            (100.0 * seconds / longest).clamp(0.0, 100.0)
+        } else {
+            0.0
+        };
         push(
             &mut rows,
             format_args!(
@@ -112,7 +125,11 @@ pub(super) fn time(report: &Report) -> String {
         report.total_s,
         if threads == 1 { "" } else { "s" }
     );
-    section("Time", &lead, &format!("<table class=\"times\">{rows}</table>"))
+    section(
+        "Time",
+        &lead,
+        &format!("<table class=\"times\">{rows}</table>"),
+    )
 }
 
 fn counts(counts: &[Count]) -> Vec<Vec<String>> {
@@ -132,11 +149,17 @@ pub(super) fn result(report: &Report) -> String {
     let mut cards = String::new();
     cards.push_str(&card("Mesh", &table(&plain, &mesh_rows(report))));
     cards.push_str(&card("Charts", &table(&plain, &chart_rows(report))));
-    cards.push_str(&card("Atlas and coverage", &table(&plain, &atlas_rows(report))));
+    cards.push_str(&card(
+        "Atlas and coverage",
+        &table(&plain, &atlas_rows(report)),
+    ));
     if let Some(score) = &report.synthetic {
         let rows = [
             pair("texels compared", grouped(score.num_texels)),
-            pair("mean absolute error", format!("{:.2} / 255", score.mean_abs)),
+            pair(
+                "mean absolute error",
+                format!("{:.2} / 255", score.mean_abs),
+            ),
             pair("90 % are within", format!("{:.1} / 255", score.p90_abs)),
             pair("true surface painted", percent(score.covered_share)),
         ];
@@ -185,8 +208,14 @@ fn chart_rows(report: &Report) -> Vec<Vec<String>> {
     let charts = &report.charts;
     let mut rows = vec![
         pair("charts", grouped(charts.num_charts as u64)),
-        pair("triangles in the middle one", grouped(charts.median_triangles as u64)),
-        pair("triangles in the largest", grouped(charts.max_triangles as u64)),
+        pair(
+            "triangles in the middle one",
+            grouped(charts.median_triangles as u64),
+        ),
+        pair(
+            "triangles in the largest",
+            grouped(charts.max_triangles as u64),
+        ),
     ];
     let mut optional = |name: &str, value: Option<f64>| {
         if let Some(value) = value {
@@ -205,22 +234,39 @@ fn atlas_rows(report: &Report) -> Vec<Vec<String>> {
     let (atlas, coverage) = (&report.atlas, &report.coverage);
     let [width, height] = atlas.page_size_texel;
     let mut rows = vec![
-        pair("pages", format!("{} of {width} × {height}", atlas.num_pages)),
+        pair(
+            "pages",
+            format!("{} of {width} × {height}", atlas.num_pages),
+        ),
         pair("texels per metre", format!("{:.0}", atlas.texels_per_m)),
-        pair("texels covered", format!("{} ({})", grouped(coverage.num_texels), percent(atlas.used_share))),
+        pair(
+            "texels covered",
+            format!(
+                "{} ({})",
+                grouped(coverage.num_texels),
+                percent(atlas.used_share)
+            ),
+        ),
         pair("gutter", percent(atlas.gutter_share)),
         pair("from one keyframe", percent(coverage.keyframe_share)),
         pair("mean of frames", percent(coverage.mean_share)),
         pair("never seen, filled", percent(coverage.diffused_share)),
-        pair("surface without colour", percent(coverage.unpainted_area_share)),
+        pair(
+            "surface without colour",
+            percent(coverage.unpainted_area_share),
+        ),
         pair("mean confidence", percent(coverage.mean_confidence)),
     ];
     if let Some(density) = &report.density {
         rows.push(pair(
-            "best photo, pixels per metre",
+            "best photo, median",
+            format!("{:.0} px/m", density.p50_px_per_m),
+        ));
+        rows.push(pair(
+            "best photo, 10–90 %",
             format!(
-                "{:.0} (10 %) · {:.0} (half) · {:.0} (90 %)",
-                density.p10_px_per_m, density.p50_px_per_m, density.p90_px_per_m
+                "{:.0}–{:.0} px/m",
+                density.p10_px_per_m, density.p90_px_per_m
             ),
         ));
     }
@@ -239,7 +285,9 @@ pub(super) fn recording(report: &Report) -> String {
                 topic.type_name.clone(),
                 topic.role.clone().unwrap_or_else(|| "not used".to_owned()),
                 grouped(topic.num_messages),
-                topic.rate_hz.map_or_else(|| "–".to_owned(), |hz| format!("{hz:.1}")),
+                topic
+                    .rate_hz
+                    .map_or_else(|| "–".to_owned(), |hz| format!("{hz:.1}")),
             ]
         })
         .collect();
@@ -251,7 +299,10 @@ pub(super) fn recording(report: &Report) -> String {
     let mut cards = String::new();
     let heads = ["topic", "type", "used as", "messages#", "Hz#"];
     cards.push_str(&card("Topics", &table(&heads, &topics)));
-    cards.push_str(&card("On the way", &table(&["", "#"], &counts(&report.counts))));
+    cards.push_str(&card(
+        "On the way",
+        &table(&["", "#"], &counts(&report.counts)),
+    ));
     let dropped = table(&["where", "why", "how many#"], &drops);
     let nothing = "<p class=\"lead\">Nothing was left out.</p>";
     cards.push_str(&card(
@@ -264,7 +315,11 @@ pub(super) fn recording(report: &Report) -> String {
         bytes(source.num_bytes).join(" "),
         source.duration_s
     );
-    section("Recording", &lead, &format!("<div class=\"cards\">{cards}</div>"))
+    section(
+        "Recording",
+        &lead,
+        &format!("<div class=\"cards\">{cards}</div>"),
+    )
 }
 
 /// Every parameter, folded away.
@@ -285,7 +340,11 @@ fn flatten(path: &str, value: &Value, rows: &mut Vec<Vec<String>>) {
     match value {
         Value::Object(fields) => {
             for (name, value) in fields {
-                let path = if path.is_empty() { name.clone() } else { format!("{path}.{name}") };
+                let path = if path.is_empty() {
+                    name.clone()
+                } else {
+                    format!("{path}.{name}")
+                };
                 flatten(&path, value, rows);
             }
         }
@@ -314,6 +373,16 @@ pub(super) fn keyframe_details(keyframes: &[KeyframeRow]) -> String {
     format!(
         "<details><summary>All {} keyframes</summary>{}</details>",
         keyframes.len(),
-        table(&["id#", "time s#", "position m", "sharpness#", "luma#", "texels#"], &rows)
+        table(
+            &[
+                "id#",
+                "time s#",
+                "position m",
+                "sharpness#",
+                "luma#",
+                "texels#"
+            ],
+            &rows
+        )
     )
 }

@@ -59,7 +59,9 @@ fn view() -> ReportView {
         photo: image([100, 150, 200]),
         render: image([100, 150, 210]),
         mask: (0..192).map(|i| i % 16 < 12).collect(),
-        triangle: (0..192).map(|i| if i % 16 < 12 { 1 } else { u32::MAX }).collect(),
+        triangle: (0..192)
+            .map(|i| if i % 16 < 12 { 1 } else { u32::MAX })
+            .collect(),
     }
 }
 
@@ -93,14 +95,21 @@ fn measures_what_was_painted() {
     let coverage = &report.coverage;
     assert_eq!(coverage.num_texels, 16 * 8);
     assert_eq!(
-        [coverage.keyframe_share, coverage.mean_share, coverage.diffused_share],
+        [
+            coverage.keyframe_share,
+            coverage.mean_share,
+            coverage.diffused_share
+        ],
         [0.75, 0.125, 0.125]
     );
     assert_eq!(coverage.mean_confidence, 0.2);
     assert_eq!(coverage.unpainted_area_share, 0.0);
     assert_eq!(report.atlas.used_share, 0.25);
     assert_eq!(report.atlas.gutter_share, (240.0 - 128.0) / 512.0);
-    assert_eq!((report.mesh.area_m2, report.mesh.size_m), (2.0, [2.0, 1.0, 0.0]));
+    assert_eq!(
+        (report.mesh.area_m2, report.mesh.size_m),
+        (2.0, [2.0, 1.0, 0.0])
+    );
     let texels: Vec<u64> = report.keyframes.iter().map(|k| k.num_texels).collect();
     assert_eq!(texels, [64, 32]);
     let score = &report.views[0];
@@ -118,7 +127,10 @@ fn what_is_wrong_is_said() {
     }
     let textured = TexturedMesh::new(&mesh, &layout, &texture).unwrap();
     let mut report = report();
-    report.source.losses.push("the last 3 MB are damaged".to_owned());
+    report
+        .source
+        .losses
+        .push("the last 3 MB are damaged".to_owned());
     report.measure(&textured, &[]).unwrap();
     assert_eq!(report.coverage.unpainted_area_share, 1.0);
     let texts: Vec<&str> = report.notes.iter().map(|n| n.text.as_str()).collect();
@@ -194,7 +206,9 @@ fn charts_and_coverage_are_drawn_where_they_lie() {
 
 #[test]
 fn downscaling_averages_light() {
-    let checker = (0..64).map(|i| [if (i + i / 8) % 2 == 0 { 255 } else { 0 }; 3]).collect();
+    let checker = (0..64)
+        .map(|i| [if (i + i / 8) % 2 == 0 { 255 } else { 0 }; 3])
+        .collect();
     let image = ColorImage::new(8, 8, checker).unwrap();
     let small = pictures::downscale(&image, 4);
     // Half of all light is sRGB 188.

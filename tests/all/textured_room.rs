@@ -1,6 +1,11 @@
 //! A furnished room whose texture is a formula: mesh, layout, painted pages and views of it, all
 //! in closed form, so that whatever is made from them can be checked without the code under test.
 
+#![expect(
+    clippy::cast_possible_truncation,
+    reason = "a room of a few metres, colours below 256"
+)]
+
 use nalgebra::{Point3, Vector3};
 use veneer::atlas::{
     AtlasLayout, AtlasTexture, ChartId, PlacedChart, TexelRect, TexelSource, TexturePage,
@@ -28,6 +33,8 @@ struct Panel {
 /// The room and everything painted on it.
 pub(crate) struct Room {
     panels: Vec<Panel>,
+    /// Per panel and cell (row by row from t = 0): the first of its two triangles.
+    first_triangle: Vec<Vec<u32>>,
     pub(crate) mesh: TriMesh,
     pub(crate) layout: AtlasLayout,
     pub(crate) texture: AtlasTexture,
@@ -46,7 +53,7 @@ pub(crate) struct View {
 impl Room {
     pub(crate) fn new() -> Self {
         let panels = panels();
-        let (mesh, chart_of_triangle, corners_texel) = triangulate(&panels);
+        let (mesh, chart_of_triangle, corners_texel, first_triangle) = triangulate(&panels);
         let charts = (0..panels.len())
             .map(|index| PlacedChart {
                 page: panels[index].page,
@@ -68,6 +75,7 @@ impl Room {
         let texture = paint(&panels);
         Self {
             panels,
+            first_triangle,
             mesh,
             layout,
             texture,
@@ -135,17 +143,13 @@ impl Room {
         if is_hole(panel, s, t) {
             return u32::MAX;
         }
-        let [u, v] = texel(&self.panels[panel], s, t);
-        let inside = |id: &&TriangleId| {
-            let [a, b, c] = self.layout.corners_texel[id.index()].map(|p| p.map(f64::from));
-            let side =
-                |p: [f64; 2], q: [f64; 2]| (q[0] - p[0]) * (v - p[1]) - (q[1] - p[1]) * (u - p[0]);
-            let sides = [side(a, b), side(b, c), side(c, a)];
-            sides.iter().all(|x| *x <= 1e-3) || sides.iter().all(|x| *x >= -1e-3)
-        };
-        // Triangles come two by two, cell by cell: only those of the row are looked at.
-        let triangles = &self.layout.charts[panel].triangles;
-        triangles.iter().find(inside).map_or(u32::MAX, |id| id.0)
+        let panel_size = self.panels[panel].size;
+        let num_columns = (panel_size[0] / CELL_M).round() as usize;
+        let cell = |m: f64, size: f64| ((m / CELL_M) as usize).min((size / CELL_M) as usize - 1);
+        let (i, j) = (cell(s, panel_size[0]), cell(t, panel_size[1]));
+        // The cell's first triangle is the one below its rising diagonal.
+        let is_upper = t - j as f64 * CELL_M > s - i as f64 * CELL_M;
+        self.first_triangle[panel][j * num_columns + i] + u32::from(is_upper)
     }
 }
 
@@ -198,13 +202,14 @@ fn is_hole(panel: usize, s: f64, t: f64) -> bool {
     panel == 3 && (2.6..3.2).contains(&s) && (0.9..1.5).contains(&t)
 }
 
-type Triangulation = (TriMesh, Vec<ChartId>, Vec<[[f32; 2]; 3]>);
+type Triangulation = (TriMesh, Vec<ChartId>, Vec<[[f32; 2]; 3]>, Vec<Vec<u32>>);
 
 fn triangulate(panels: &[Panel]) -> Triangulation {
     let mut positions = Vec::new();
     let mut triangles = Vec::new();
     let mut charts = Vec::new();
     let mut corners_texel = Vec::new();
+    let mut first_triangle = vec![Vec::new(); panels.len()];
     for (index, panel) in panels.iter().enumerate() {
         let cells = panel.size.map(|m| (m / CELL_M).round() as u32);
         let first = positions.len() as u32;
@@ -218,6 +223,7 @@ fn triangulate(panels: &[Panel]) -> Triangulation {
         for j in 0..cells[1] {
             for i in 0..cells[0] {
                 let (s, t) = st(i, j);
+                first_triangle[index].push(triangles.len() as u32);
                 if is_hole(index, s + 0.05, t + 0.05) {
                     continue;
                 }
@@ -235,7 +241,7 @@ fn triangulate(panels: &[Panel]) -> Triangulation {
         }
     }
     let (mesh, _) = TriMesh::from_soup(positions, triangles).unwrap();
-    (mesh, charts, corners_texel)
+    (mesh, charts, corners_texel, first_triangle)
 }
 
 fn paint(panels: &[Panel]) -> AtlasTexture {
