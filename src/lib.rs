@@ -15,7 +15,10 @@
 //! centres at halves. See `ARCHITECTURE.md` for who may import whom.
 
 pub mod atlas;
+#[cfg(feature = "bag")]
+pub mod bag;
 pub mod geom;
 pub mod ingest;
 pub mod keyframe;
 pub mod mesh;
+pub mod wire;

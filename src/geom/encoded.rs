@@ -1,6 +1,14 @@
 //! Images as they were recorded: kept encoded, decoded on demand.
+//!
+//! A value that exists has a usable size, rows long enough for it, and bytes for every row; a
+//! JPEG or PNG file is complete as far as its markers tell. What only decoding can tell (a broken
+//! entropy stream) is an error of `decode`.
 
 use std::sync::Arc;
+
+use super::file_header::{self, PngHeader};
+use super::image::{ColorImage, DepthImage, ImageError};
+use super::{file_codec, pixel_format, rvl};
 
 /// How the bytes of a colour image are laid out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -31,6 +39,49 @@ pub enum ColorEncoding {
     Yuv422Yuy2,
     /// 4:2:0, a plane of Y, then a half-size plane of interleaved U and V.
     Nv12,
+}
+
+impl ColorEncoding {
+    /// Raw encodings under their names in `sensor_msgs/image_encodings.hpp`.
+    const ROS_NAMES: [(&'static str, Self); 11] = [
+        ("rgb8", Self::Rgb8),
+        ("bgr8", Self::Bgr8),
+        ("rgba8", Self::Rgba8),
+        ("bgra8", Self::Bgra8),
+        ("mono8", Self::Mono8),
+        ("bayer_rggb8", Self::BayerRggb8),
+        ("bayer_bggr8", Self::BayerBggr8),
+        ("bayer_gbrg8", Self::BayerGbrg8),
+        ("bayer_grbg8", Self::BayerGrbg8),
+        ("yuv422_yuy2", Self::Yuv422Yuy2),
+        ("nv12", Self::Nv12),
+    ];
+
+    /// The raw encoding that ROS calls `name`; OpenCV's type names for 8-bit images count as the
+    /// colour order that `cv_bridge` gives them.
+    pub fn from_ros_name(name: &str) -> Option<Self> {
+        let name = match name {
+            "8UC1" => "mono8",
+            "8UC3" => "bgr8",
+            "8UC4" => "bgra8",
+            "yuyv" | "YUY2" => "yuv422_yuy2",
+            "NV12" => "nv12",
+            other => other,
+        };
+        let found = Self::ROS_NAMES.iter().find(|(ros, _)| *ros == name);
+        found.map(|&(_, encoding)| encoding)
+    }
+
+    /// ROS's name of a raw encoding; `None` for image files.
+    pub fn ros_name(self) -> Option<&'static str> {
+        let found = Self::ROS_NAMES.iter().find(|(_, e)| *e == self);
+        found.map(|&(name, _)| name)
+    }
+
+    /// Whether the bytes are an image file, whose rows have no fixed length.
+    pub fn is_file(self) -> bool {
+        matches!(self, Self::Jpeg | Self::Png)
+    }
 }
 
 /// How the bytes of a depth image are laid out.
@@ -66,6 +117,13 @@ pub enum DepthEncoding {
     },
 }
 
+impl DepthEncoding {
+    /// Whether the pixels lie there uncompressed, row by row.
+    pub fn is_raw(self) -> bool {
+        matches!(self, Self::U16Mm { .. } | Self::F32M { .. })
+    }
+}
+
 /// A colour image in the encoding it came in.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EncodedColor {
@@ -76,6 +134,138 @@ pub struct EncodedColor {
     bytes: Arc<[u8]>,
 }
 
+impl EncodedColor {
+    /// A raw image whose rows start `row_bytes` apart (`step` in ROS). The last row may end
+    /// without its padding.
+    ///
+    /// # Errors
+    /// [`ImageError`] when the encoding is a file's, the size is unusable (odd sides where the
+    /// encoding pairs pixels among them), or rows or bytes are too few for it.
+    pub fn from_raw(
+        encoding: ColorEncoding,
+        width: u32,
+        height: u32,
+        row_bytes: u32,
+        bytes: Arc<[u8]>,
+    ) -> Result<Self, ImageError> {
+        if encoding.is_file() {
+            return Err(ImageError::Encoding(format!("{encoding:?} as a raw image")));
+        }
+        let layout = pixel_format::raw_layout(encoding, width, height)
+            .ok_or(ImageError::Size { width, height })?;
+        check_rows([width, height], row_bytes, layout, bytes.len())?;
+        Ok(Self {
+            encoding,
+            width,
+            height,
+            row_bytes,
+            bytes,
+        })
+    }
+
+    /// A JPEG or PNG file, told apart by its first bytes; size from its header.
+    ///
+    /// # Errors
+    /// [`ImageError`] when it is neither, its header is broken, it is cut off, or its size is
+    /// unusable.
+    pub fn from_file(bytes: Arc<[u8]>) -> Result<Self, ImageError> {
+        let (encoding, [width, height]) = if file_header::is_png(&bytes) {
+            let PngHeader { size, .. } = file_header::png_header(&bytes)?;
+            (ColorEncoding::Png, size)
+        } else if file_header::is_jpeg(&bytes) {
+            (ColorEncoding::Jpeg, file_header::jpeg_size(&bytes)?)
+        } else {
+            let start: Vec<u8> = bytes.iter().copied().take(8).collect();
+            return Err(ImageError::Encoding(format!(
+                "a file of {} bytes that starts with {start:02x?}, neither JPEG nor PNG",
+                bytes.len()
+            )));
+        };
+        super::image::check_decoded_size(width, height)?;
+        Ok(Self {
+            encoding,
+            width,
+            height,
+            row_bytes: 0,
+            bytes,
+        })
+    }
+
+    /// The decoded image: sRGB; alpha dropped, grey spread over the channels, Bayer mosaics
+    /// interpolated ([`super::bayer`]), YUV as BT.601 with the limited ("studio") range that
+    /// OpenCV, and so `cv_bridge`, assumes.
+    ///
+    /// # Errors
+    /// [`ImageError::Codec`] when the file does not decode.
+    pub fn decode(&self) -> Result<ColorImage, ImageError> {
+        let size = [self.width, self.height];
+        let pixels = match self.encoding {
+            ColorEncoding::Jpeg => file_codec::decode_jpeg(&self.bytes, size)?,
+            ColorEncoding::Png => file_codec::decode_png_rgb(&self.bytes, size)?,
+            raw => pixel_format::decode_raw(raw, size, self.row_bytes as usize, &self.bytes),
+        };
+        ColorImage::new(self.width, self.height, pixels)
+    }
+
+    /// The same pixels in a compressed file: itself where it is a file, else a PNG (the same
+    /// bytes on every machine).
+    ///
+    /// # Errors
+    /// [`ImageError::Codec`] when the encoder fails.
+    pub fn compressed_lossless(&self) -> Result<Self, ImageError> {
+        if self.encoding.is_file() {
+            return Ok(self.clone());
+        }
+        Self::png_from_image(&self.decode()?)
+    }
+
+    /// A PNG of a decoded image.
+    ///
+    /// # Errors
+    /// [`ImageError::Codec`] when the encoder fails.
+    pub fn png_from_image(image: &ColorImage) -> Result<Self, ImageError> {
+        let size = [image.width(), image.height()];
+        let bytes = file_codec::encode_png(
+            size,
+            image.pixels().as_flattened(),
+            png::ColorType::Rgb,
+            png::BitDepth::Eight,
+        )?;
+        Ok(Self {
+            encoding: ColorEncoding::Png,
+            width: image.width(),
+            height: image.height(),
+            row_bytes: 0,
+            bytes: bytes.into(),
+        })
+    }
+
+    /// How the bytes are laid out.
+    pub fn encoding(&self) -> ColorEncoding {
+        self.encoding
+    }
+
+    /// Width in pixels.
+    pub fn width(&self) -> u32 {
+        self.width
+    }
+
+    /// Height in pixels.
+    pub fn height(&self) -> u32 {
+        self.height
+    }
+
+    /// Bytes from one row to the next; 0 for image files.
+    pub fn row_bytes(&self) -> u32 {
+        self.row_bytes
+    }
+
+    /// The bytes as recorded.
+    pub fn bytes(&self) -> &Arc<[u8]> {
+        &self.bytes
+    }
+}
+
 /// A depth image in the encoding it came in.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EncodedDepth {
@@ -84,4 +274,450 @@ pub struct EncodedDepth {
     height: u32,
     row_bytes: u32,
     bytes: Arc<[u8]>,
+}
+
+impl EncodedDepth {
+    /// A raw image (`16UC1`, `32FC1`) whose rows start `row_bytes` apart.
+    ///
+    /// # Errors
+    /// [`ImageError`] when the encoding is a compressed one, the size is unusable, or rows or
+    /// bytes are too few for it.
+    pub fn from_raw(
+        encoding: DepthEncoding,
+        width: u32,
+        height: u32,
+        row_bytes: u32,
+        bytes: Arc<[u8]>,
+    ) -> Result<Self, ImageError> {
+        let bytes_per_px = match encoding {
+            DepthEncoding::U16Mm { .. } => 2,
+            DepthEncoding::F32M { .. } => 4,
+            other => {
+                return Err(ImageError::Encoding(format!(
+                    "{other:?} as a raw depth image"
+                )));
+            }
+        };
+        let layout = pixel_format::RawLayout {
+            min_row_bytes: width as usize * bytes_per_px,
+            num_rows: height as usize,
+        };
+        check_rows([width, height], row_bytes, layout, bytes.len())?;
+        Ok(Self {
+            encoding,
+            width,
+            height,
+            row_bytes,
+            bytes,
+        })
+    }
+
+    /// A compressed image: a 16-bit grey PNG file, or RVL behind its `cols`, `rows` words.
+    ///
+    /// # Errors
+    /// [`ImageError`] when the encoding is a raw one, the header is broken, or the size unusable.
+    pub fn from_compressed(encoding: DepthEncoding, bytes: Arc<[u8]>) -> Result<Self, ImageError> {
+        let [width, height] = match encoding {
+            DepthEncoding::Png16Mm | DepthEncoding::Png16Inverse { .. } => {
+                file_header::png_header(&bytes)?.grey16_size()?
+            }
+            DepthEncoding::RvlMm | DepthEncoding::RvlInverse { .. } => rvl::size(&bytes)?,
+            raw => {
+                return Err(ImageError::Encoding(format!(
+                    "{raw:?} as a compressed depth image"
+                )));
+            }
+        };
+        super::image::check_decoded_size(width, height)?;
+        Ok(Self {
+            encoding,
+            width,
+            height,
+            row_bytes: 0,
+            bytes,
+        })
+    }
+
+    /// A PNG of millimetres, 0 = no measurement.
+    ///
+    /// # Errors
+    /// [`ImageError`] when the size is unusable or `depth_mm` does not match it.
+    pub fn png_from_u16_mm(width: u32, height: u32, depth_mm: &[u16]) -> Result<Self, ImageError> {
+        super::image::check_length(width, height, depth_mm.len())?;
+        let big_endian: Vec<u8> = depth_mm.iter().flat_map(|mm| mm.to_be_bytes()).collect();
+        let bytes = file_codec::encode_png(
+            [width, height],
+            &big_endian,
+            png::ColorType::Grayscale,
+            png::BitDepth::Sixteen,
+        )?;
+        Self::from_compressed(DepthEncoding::Png16Mm, bytes.into())
+    }
+
+    /// An RVL stream of millimetres, 0 = no measurement.
+    ///
+    /// # Errors
+    /// [`ImageError`] when the size is unusable or `depth_mm` does not match it.
+    pub fn rvl_from_u16_mm(width: u32, height: u32, depth_mm: &[u16]) -> Result<Self, ImageError> {
+        super::image::check_length(width, height, depth_mm.len())?;
+        let bytes = rvl::encode([width, height], depth_mm);
+        Self::from_compressed(DepthEncoding::RvlMm, bytes.into())
+    }
+
+    /// The decoded image in metres; 0 = no measurement.
+    ///
+    /// # Errors
+    /// [`ImageError::Codec`] when the file or stream does not decode.
+    pub fn decode(&self) -> Result<DepthImage, ImageError> {
+        let row_bytes = self.row_bytes as usize;
+        let size = [self.width, self.height];
+        let depth_m = match self.encoding {
+            DepthEncoding::U16Mm { big_endian } => {
+                let mm = pixel_format::u16_rows(size, row_bytes, &self.bytes, big_endian);
+                metres_from_mm(&mm)
+            }
+            DepthEncoding::F32M { big_endian } => {
+                pixel_format::f32_rows(size, row_bytes, &self.bytes, big_endian)
+            }
+            DepthEncoding::Png16Mm | DepthEncoding::RvlMm => metres_from_mm(&self.quantised()?),
+            DepthEncoding::Png16Inverse { a, b } | DepthEncoding::RvlInverse { a, b } => {
+                metres_from_inverse(&self.quantised()?, a, b)
+            }
+        };
+        DepthImage::new(self.width, self.height, depth_m)
+    }
+
+    fn quantised(&self) -> Result<Vec<u16>, ImageError> {
+        match self.encoding {
+            DepthEncoding::RvlMm | DepthEncoding::RvlInverse { .. } => rvl::decode(&self.bytes),
+            _ => file_codec::decode_png_grey16(&self.bytes, [self.width, self.height]),
+        }
+    }
+
+    /// The same pixels compressed: `16UC1` becomes RVL; everything else stays as it is (floats
+    /// have no lossless codec here).
+    ///
+    /// # Errors
+    /// [`ImageError`], which cannot happen for a value that exists.
+    pub fn compressed_lossless(&self) -> Result<Self, ImageError> {
+        let DepthEncoding::U16Mm { big_endian } = self.encoding else {
+            return Ok(self.clone());
+        };
+        let mm = pixel_format::u16_rows(
+            [self.width, self.height],
+            self.row_bytes as usize,
+            &self.bytes,
+            big_endian,
+        );
+        Self::rvl_from_u16_mm(self.width, self.height, &mm)
+    }
+
+    /// How the bytes are laid out.
+    pub fn encoding(&self) -> DepthEncoding {
+        self.encoding
+    }
+
+    /// Width in pixels.
+    pub fn width(&self) -> u32 {
+        self.width
+    }
+
+    /// Height in pixels.
+    pub fn height(&self) -> u32 {
+        self.height
+    }
+
+    /// Bytes from one row to the next; 0 where rows have no fixed length.
+    pub fn row_bytes(&self) -> u32 {
+        self.row_bytes
+    }
+
+    /// The bytes as recorded.
+    pub fn bytes(&self) -> &Arc<[u8]> {
+        &self.bytes
+    }
+}
+
+fn metres_from_mm(depth_mm: &[u16]) -> Vec<f32> {
+    // Division, not a product with 0.001: it gives the float nearest to the decimal value.
+    depth_mm.iter().map(|&mm| f32::from(mm) / 1000.0).collect()
+}
+
+fn metres_from_inverse(quantised: &[u16], a: f32, b: f32) -> Vec<f32> {
+    let depth_m = |&q: &u16| match q {
+        0 => 0.0,
+        q => a / (f32::from(q) - b),
+    };
+    quantised.iter().map(depth_m).collect()
+}
+
+fn check_rows(
+    [width, height]: [u32; 2],
+    row_bytes: u32,
+    layout: pixel_format::RawLayout,
+    num_bytes: usize,
+) -> Result<(), ImageError> {
+    super::image::check_decoded_size(width, height)?;
+    let row_bytes = row_bytes as usize;
+    if row_bytes < layout.min_row_bytes {
+        return Err(ImageError::Row {
+            width,
+            min_row_bytes: layout.min_row_bytes,
+            row_bytes,
+        });
+    }
+    let shortest = row_bytes * (layout.num_rows - 1) + layout.min_row_bytes;
+    let expected = row_bytes * layout.num_rows;
+    if (shortest..=expected).contains(&num_bytes) {
+        return Ok(());
+    }
+    Err(ImageError::Length {
+        width,
+        height,
+        unit: "bytes",
+        expected,
+        actual: num_bytes,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn raw(
+        encoding: ColorEncoding,
+        size: [u32; 2],
+        step: u32,
+        bytes: &[u8],
+    ) -> Result<Vec<[u8; 3]>, ImageError> {
+        let image = EncodedColor::from_raw(encoding, size[0], size[1], step, bytes.into())?;
+        Ok(image.decode()?.pixels().to_vec())
+    }
+
+    #[test]
+    fn channel_orders_and_row_padding() {
+        let rgb = [[1, 2, 3], [4, 5, 6]];
+        let cases: [(ColorEncoding, &[u8]); 4] = [
+            (ColorEncoding::Rgb8, &[1, 2, 3, 99, 4, 5, 6, 99]),
+            (ColorEncoding::Bgr8, &[3, 2, 1, 99, 6, 5, 4, 99]),
+            (ColorEncoding::Rgba8, &[1, 2, 3, 77, 4, 5, 6, 77]),
+            (ColorEncoding::Bgra8, &[3, 2, 1, 77, 6, 5, 4, 77]),
+        ];
+        for (encoding, bytes) in cases {
+            assert_eq!(
+                raw(encoding, [1, 2], 4, bytes).unwrap(),
+                rgb,
+                "{encoding:?}"
+            );
+        }
+        // The last row may lack its padding.
+        let unpadded = [1, 2, 3, 99, 4, 5, 6];
+        assert_eq!(raw(ColorEncoding::Rgb8, [1, 2], 4, &unpadded).unwrap(), rgb);
+        assert_eq!(
+            raw(ColorEncoding::Mono8, [2, 1], 2, &[9, 8]).unwrap(),
+            [[9; 3], [8; 3]]
+        );
+    }
+
+    /// References from OpenCV 4's `cvtColor` formula evaluated in floating point.
+    #[test]
+    fn yuv_is_bt601_limited_range() {
+        let reference = |y: f64, u: f64, v: f64| -> [f64; 3] {
+            let y = 1.164 * (y - 16.0).max(0.0);
+            [
+                y + 1.596 * (v - 128.0),
+                y - 0.813 * (v - 128.0) - 0.391 * (u - 128.0),
+                y + 2.018 * (u - 128.0),
+            ]
+            .map(|c| c.clamp(0.0, 255.0))
+        };
+        for [y0, u, y1, v] in [[16, 128, 235, 128], [81, 90, 145, 240], [0, 255, 255, 0]] {
+            let yuy2 = raw(ColorEncoding::Yuv422Yuy2, [2, 1], 4, &[y0, u, y1, v]).unwrap();
+            let nv12 = raw(ColorEncoding::Nv12, [2, 2], 2, &[y0, y1, y0, y1, u, v]).unwrap();
+            assert_eq!(nv12, [yuy2[0], yuy2[1], yuy2[0], yuy2[1]]);
+            for (y, pixel) in [y0, y1].into_iter().zip(yuy2) {
+                let expected = reference(f64::from(y), f64::from(u), f64::from(v));
+                for c in 0..3 {
+                    assert!((f64::from(pixel[c]) - expected[c]).abs() < 1.0);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn refuses_what_does_not_fit() {
+        let rgb8 = ColorEncoding::Rgb8;
+        assert!(matches!(
+            raw(rgb8, [0, 1], 3, &[]),
+            Err(ImageError::Size { .. })
+        ));
+        assert!(matches!(
+            raw(rgb8, [1, 1], 2, &[0; 2]),
+            Err(ImageError::Row { .. })
+        ));
+        assert!(matches!(
+            raw(rgb8, [1, 2], 3, &[0; 5]),
+            Err(ImageError::Length { .. })
+        ));
+        assert!(matches!(
+            raw(rgb8, [1, 2], 3, &[0; 7]),
+            Err(ImageError::Length { .. })
+        ));
+        assert!(matches!(
+            raw(ColorEncoding::Nv12, [3, 2], 3, &[0; 9]),
+            Err(ImageError::Size { .. })
+        ));
+        assert!(matches!(
+            raw(rgb8, [u32::MAX, u32::MAX], u32::MAX, &[0; 7]),
+            Err(ImageError::Size { .. })
+        ));
+        assert!(matches!(
+            raw(ColorEncoding::Jpeg, [1, 1], 3, &[0; 3]),
+            Err(ImageError::Encoding(_))
+        ));
+        assert!(EncodedColor::from_file((*b"BM").into()).is_err());
+    }
+
+    fn gradient() -> ColorImage {
+        let pixels = (0..48u32 * 32).map(|i| {
+            let (x, y) = (i % 48, i / 48);
+            [x * 5, y * 7, (x + y) * 3].map(|c| u8::try_from(c).unwrap())
+        });
+        ColorImage::new(48, 32, pixels.collect()).unwrap()
+    }
+
+    #[test]
+    fn lossless_compression_keeps_every_pixel() {
+        let image = gradient();
+        let bytes = image.pixels().as_flattened().into();
+        let raw = EncodedColor::from_raw(ColorEncoding::Rgb8, 48, 32, 144, bytes).unwrap();
+        let png = raw.compressed_lossless().unwrap();
+        assert_eq!(png.encoding(), ColorEncoding::Png);
+        assert_eq!(png.decode().unwrap(), image);
+        assert_eq!(png.compressed_lossless().unwrap(), png);
+    }
+
+    fn jpeg(image: &ColorImage) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        let width = u16::try_from(image.width()).unwrap();
+        let height = u16::try_from(image.height()).unwrap();
+        jpeg_encoder::Encoder::new(&mut bytes, 95)
+            .encode(
+                image.pixels().as_flattened(),
+                width,
+                height,
+                jpeg_encoder::ColorType::Rgb,
+            )
+            .unwrap();
+        bytes
+    }
+
+    #[test]
+    fn jpeg_decodes_and_a_cut_one_is_refused() {
+        let image = gradient();
+        let bytes = jpeg(&image);
+        let decoded = EncodedColor::from_file(bytes.as_slice().into())
+            .unwrap()
+            .decode()
+            .unwrap();
+        for (a, b) in image.pixels().iter().zip(decoded.pixels()) {
+            assert!(
+                a.iter().zip(b).all(|(a, b)| a.abs_diff(*b) < 24),
+                "{a:?} {b:?}"
+            );
+        }
+        for length in 0..bytes.len() - 1 {
+            assert!(
+                EncodedColor::from_file(bytes[..length].into()).is_err(),
+                "{length}"
+            );
+        }
+    }
+
+    #[test]
+    fn a_cut_or_corrupt_png_is_refused_never_a_panic() {
+        let png = EncodedColor::png_from_image(&gradient()).unwrap();
+        for length in 0..png.bytes().len() {
+            assert!(EncodedColor::from_file(png.bytes()[..length].into()).is_err());
+        }
+        for at in 0..png.bytes().len() {
+            let mut bytes = png.bytes().to_vec();
+            bytes[at] ^= 0x55;
+            if let Ok(image) = EncodedColor::from_file(bytes.into()) {
+                // Decoding may fail or succeed; either way the process lives.
+                drop(image.decode());
+            }
+        }
+    }
+
+    #[test]
+    fn depth_in_every_encoding() {
+        let mm = [0u16, 1, 500, 1000, 40_000, 65_535];
+        let metres = [0.0f32, 0.001, 0.5, 1.0, 40.0, 65.535];
+        let depths = |image: EncodedDepth| image.decode().unwrap().depths_m().to_vec();
+        for big_endian in [false, true] {
+            let order = |mm: &u16| {
+                if big_endian {
+                    mm.to_be_bytes()
+                } else {
+                    mm.to_le_bytes()
+                }
+            };
+            // 3 × 2 with two bytes of row padding.
+            let rows = mm.chunks(3).flat_map(|row| {
+                let pixels = row.iter().flat_map(order);
+                pixels.chain([9, 9]).collect::<Vec<u8>>()
+            });
+            let bytes: Vec<u8> = rows.collect();
+            let encoding = DepthEncoding::U16Mm { big_endian };
+            let raw = EncodedDepth::from_raw(encoding, 3, 2, 8, bytes.into()).unwrap();
+            let rvl = raw.compressed_lossless().unwrap();
+            assert_eq!(rvl.encoding(), DepthEncoding::RvlMm);
+            assert_eq!(depths(raw), metres);
+            assert_eq!(depths(rvl), metres);
+            let floats = [0.5f32, f32::NAN, -1.0];
+            let order = |m: &f32| {
+                if big_endian {
+                    m.to_be_bytes()
+                } else {
+                    m.to_le_bytes()
+                }
+            };
+            let bytes: Vec<u8> = floats.iter().flat_map(order).collect();
+            let encoding = DepthEncoding::F32M { big_endian };
+            let raw = EncodedDepth::from_raw(encoding, 3, 1, 12, bytes.into()).unwrap();
+            assert_eq!(depths(raw), [0.5, 0.0, 0.0]);
+        }
+        assert_eq!(
+            depths(EncodedDepth::png_from_u16_mm(3, 2, &mm).unwrap()),
+            metres
+        );
+    }
+
+    /// `compressed_depth_image_transport`: A = z0 (z0 + 1), B = 1 − A / max, q = A / z + B.
+    #[test]
+    fn inverse_depth_follows_the_transport() {
+        let (z0, max_m) = (100.0f32, 10.0f32);
+        let a = z0 * (z0 + 1.0);
+        let b = 1.0 - a / max_m;
+        let depths_m = [0.0f32, 0.4, 1.0, 3.0, 9.0];
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "quantises as the transport does"
+        )]
+        let quantised = depths_m.map(|z| if z > 0.0 { (a / z + b) as u16 } else { 0 });
+        let png = EncodedDepth::png_from_u16_mm(5, 1, &quantised).unwrap();
+        let rvl = EncodedDepth::rvl_from_u16_mm(5, 1, &quantised).unwrap();
+        for (encoding, bytes) in [
+            (DepthEncoding::Png16Inverse { a, b }, png.bytes()),
+            (DepthEncoding::RvlInverse { a, b }, rvl.bytes()),
+        ] {
+            let decoded = EncodedDepth::from_compressed(encoding, bytes.clone()).unwrap();
+            for (&z, &back) in depths_m.iter().zip(decoded.decode().unwrap().depths_m()) {
+                // One quantisation step: dz = z² / A.
+                assert!((z - back).abs() <= z * z / a * 1.01, "{z} {back}");
+            }
+        }
+    }
 }

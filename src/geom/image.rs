@@ -25,6 +25,16 @@ pub enum ImageError {
         /// How many there are.
         actual: usize,
     },
+    /// Rows start closer together than their pixels need (`step` in ROS).
+    #[error("image rows of {width} pixels need {min_row_bytes} bytes, step is {row_bytes}")]
+    Row {
+        /// Width in pixels.
+        width: u32,
+        /// Bytes that the pixels of a row take.
+        min_row_bytes: usize,
+        /// Bytes from one row to the next, as given.
+        row_bytes: usize,
+    },
     /// The encoding's name is not one that veneer reads.
     #[error("image encoding '{0}' is not supported")]
     Encoding(String),
@@ -47,7 +57,19 @@ fn check_size(width: u32, height: u32) -> Result<usize, ImageError> {
     }
 }
 
-fn check_length(width: u32, height: u32, actual: usize) -> Result<(), ImageError> {
+/// A compressed image may claim any size in a few bytes; past this many pixels (a quarter of a
+/// gigabyte once decoded) it is refused.
+const MAX_DECODED_PIXELS: usize = 1 << 26;
+
+pub(crate) fn check_decoded_size(width: u32, height: u32) -> Result<usize, ImageError> {
+    let num_pixels = check_size(width, height)?;
+    if num_pixels > MAX_DECODED_PIXELS {
+        return Err(ImageError::Size { width, height });
+    }
+    Ok(num_pixels)
+}
+
+pub(crate) fn check_length(width: u32, height: u32, actual: usize) -> Result<(), ImageError> {
     let expected = check_size(width, height)?;
     if actual == expected {
         Ok(())

@@ -1,0 +1,11 @@
+//! MCAP bags as rosbag2 writes them: a source of events, and a writer (L7).
+//!
+//! Profile `ros2`, schemas `ros2msg`, messages `cdr`; chunked or not, none, lz4 or zstd. Reading
+//! is memory-mapped and in the order of log times; what a damaged or cut-off bag still holds is
+//! read, and the loss is told in words.
+
+pub mod error;
+pub mod writer;
+
+pub use error::BagError;
+pub use writer::{BagSummary, BagWriter, ChannelId, Compression};
