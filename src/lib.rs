@@ -21,4 +21,6 @@ pub mod geom;
 pub mod ingest;
 pub mod keyframe;
 pub mod mesh;
+#[cfg(feature = "bag")]
+pub mod synth;
 pub mod wire;

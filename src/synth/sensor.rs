@@ -4,7 +4,7 @@ use std::sync::LazyLock;
 
 use crate::geom::color::srgb_from_linear;
 
-use super::SynthNoise;
+use super::options::SynthNoise;
 use super::caster::CastImage;
 use super::hash::Stream;
 use super::texture::Linear;

@@ -9,7 +9,7 @@ use rayon::prelude::*;
 
 use crate::mesh::{MeshError, TriMesh};
 
-use super::SynthNoise;
+use super::options::SynthNoise;
 use super::hash::Stream;
 use super::scene::Scene;
 use super::surface::{Shape, Surface};

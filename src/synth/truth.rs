@@ -9,7 +9,7 @@ use super::hash::Stream;
 use super::scene::Scene;
 use super::surface::Surface;
 use super::texture::Linear;
-use super::{SceneName, SynthError};
+use super::options::{SceneName, SynthError};
 
 /// Key of the MCAP metadata record that describes a synthetic recording.
 pub const METADATA_NAME: &str = "veneer_synth";

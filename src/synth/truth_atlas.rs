@@ -4,7 +4,7 @@ use crate::atlas::{AtlasLayout, AtlasTexture, ChartId, PlacedChart, TexelRect, T
 use crate::mesh::{TriMesh, TriangleId};
 use rayon::prelude::*;
 
-use super::SynthError;
+use super::options::SynthError;
 use super::surface::Surface;
 use super::tessellate::{Patch, visible_patches};
 use super::truth::{GroundTruth, srgb_255};

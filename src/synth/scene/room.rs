@@ -17,7 +17,7 @@ const SIZE_M: [f64; 3] = [5.0, 4.0, 2.5];
 const PIXEL_M: f64 = 0.0015;
 
 /// Builds the room; the seed chooses books and the salt of every texture stays fixed.
-pub(super) fn build(seed: u64) -> Scene {
+pub(in crate::synth) fn build(seed: u64) -> Scene {
     let mut scene = SceneBuilder::new(Stream::new(seed, "room"));
     shell(&mut scene);
     dining(&mut scene);

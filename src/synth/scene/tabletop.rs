@@ -17,7 +17,7 @@ use super::{Scene, SceneBuilder, art, standing};
 const TOP_M: f64 = 0.74;
 const PIXEL_M: f64 = 0.0005;
 
-pub(super) fn build(seed: u64) -> Scene {
+pub(in crate::synth) fn build(seed: u64) -> Scene {
     let mut scene = SceneBuilder::new(Stream::new(seed, "tabletop"));
     studio(&mut scene);
     table(&mut scene);
