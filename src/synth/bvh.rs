@@ -1,8 +1,8 @@
 //! Nearest hit of any ray against the scene: a bounding volume hierarchy with median splits.
 
-use nalgebra::{Point3, Vector3};
+use nalgebra::{Matrix3, Point3, Vector3};
 
-use super::surface::{Hit, Surface};
+use super::surface::{Hit, Shape, Surface};
 
 /// The hierarchy over the surfaces of one scene.
 #[derive(Clone, Debug, Default)]
@@ -10,6 +10,15 @@ pub(super) struct Bvh {
     nodes: Vec<Node>,
     /// Surface indices; leaves name ranges of it.
     order: Vec<u32>,
+    /// In the order of `order`.
+    primitives: Vec<Primitive>,
+}
+
+#[derive(Clone, Debug)]
+struct Primitive {
+    shape: Shape,
+    local_from_world: Matrix3<f64>,
+    world_in_local: Vector3<f64>,
 }
 
 #[derive(Clone, Debug)]
@@ -26,6 +35,8 @@ enum Content {
 }
 
 const LEAF_SIZE: usize = 3;
+/// Median splits halve: 2³² surfaces would need 32 levels, and each level keeps one node waiting.
+const MAX_DEPTH: usize = 48;
 
 impl Bvh {
     pub(super) fn new(surfaces: &[Surface]) -> Self {
@@ -33,10 +44,21 @@ impl Bvh {
         let mut bvh = Self {
             nodes: Vec::new(),
             order: (0..).take(surfaces.len()).collect(),
+            primitives: Vec::new(),
         };
         if !surfaces.is_empty() {
             bvh.build(&bounds, 0, surfaces.len());
         }
+        let primitive = |&index: &u32| {
+            let surface = &surfaces[index as usize];
+            let local_from_world = surface.world_from_local.inverse();
+            Primitive {
+                shape: surface.shape,
+                local_from_world: local_from_world.rotation().to_rotation_matrix().into_inner(),
+                world_in_local: *local_from_world.translation(),
+            }
+        };
+        bvh.primitives = bvh.order.iter().map(primitive).collect();
         bvh
     }
 
@@ -75,7 +97,6 @@ impl Bvh {
     /// Nearest front-facing hit with the ray parameter in (`t_min`, `t_max`), and its surface.
     pub(super) fn nearest_hit(
         &self,
-        surfaces: &[Surface],
         origin: &Point3<f64>,
         direction: &Vector3<f64>,
         [t_min, t_max]: [f64; 2],
@@ -83,25 +104,32 @@ impl Bvh {
         let inverse = direction.map(|d| 1.0 / d);
         let mut best: Option<(usize, Hit)> = None;
         let mut t_end = t_max;
-        let mut stack = vec![0];
-        while let Some(node) = stack.pop().and_then(|id: usize| self.nodes.get(id)) {
+        let mut stack = [0usize; MAX_DEPTH];
+        let mut num_waiting = usize::from(!self.nodes.is_empty());
+        while num_waiting > 0 {
+            num_waiting -= 1;
+            let node = &self.nodes[stack[num_waiting]];
             if !node.is_crossed(origin, &inverse, t_end) {
                 continue;
             }
             match node.content {
-                Content::Children(children) => stack.extend(children),
+                Content::Children(children) => {
+                    for child in children {
+                        stack[num_waiting] = child;
+                        num_waiting += 1;
+                    }
+                }
                 Content::Leaf { start, end } => {
-                    for &index in &self.order[start..end] {
-                        let surface = &surfaces[index as usize];
-                        let local = surface.world_from_local.inverse();
-                        let hit = surface.shape.intersect(
-                            &local.transform_point(origin).coords,
-                            &local.transform_vector(direction),
-                            [t_min, t_end],
-                        );
-                        if let Some(hit) = hit {
+                    for at in start..end {
+                        let primitive = &self.primitives[at];
+                        let local_origin =
+                            primitive.local_from_world * origin.coords + primitive.world_in_local;
+                        let local_direction = primitive.local_from_world * direction;
+                        let range = [t_min, t_end];
+                        let shape = &primitive.shape;
+                        if let Some(hit) = shape.intersect(&local_origin, &local_direction, range) {
                             t_end = hit.t;
-                            best = Some((index as usize, hit));
+                            best = Some((self.order[at] as usize, hit));
                         }
                     }
                 }

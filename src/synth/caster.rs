@@ -12,7 +12,7 @@ use rayon::prelude::*;
 
 use crate::geom::{PinholeCamera, RigidTransform};
 
-use super::surface::{Hit, Surface};
+use super::surface::{Hit, Shape, Surface};
 use super::texture::Linear;
 
 /// What the ideal sensor sees.
@@ -161,6 +161,11 @@ impl<'a> View<'a> {
     ) -> Option<Self> {
         let camera_from_local = *camera_from_world * surface.world_from_local;
         let local_from_camera = camera_from_local.inverse();
+        let is_flat = matches!(surface.shape, Shape::Rect { .. } | Shape::Disc { .. });
+        if is_flat && local_from_camera.translation().z >= 0.0 {
+            // The camera is behind it.
+            return None;
+        }
         let mut bounds_px = [
             f64::INFINITY,
             f64::INFINITY,

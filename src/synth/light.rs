@@ -85,7 +85,7 @@ pub(super) fn bake(surfaces: &mut [Surface], lighting: &Lighting) {
     let shared: &[Surface] = surfaces;
     let maps: Vec<LightMap> = shared
         .par_iter()
-        .map(|surface| bake_surface(surface, shared, &bvh, lighting))
+        .map(|surface| bake_surface(surface, &bvh, lighting))
         .collect();
     for (surface, map) in surfaces.iter_mut().zip(maps) {
         surface.light = map;
@@ -94,7 +94,6 @@ pub(super) fn bake(surfaces: &mut [Surface], lighting: &Lighting) {
 
 fn bake_surface(
     surface: &Surface,
-    surfaces: &[Surface],
     bvh: &Bvh,
     lighting: &Lighting,
 ) -> LightMap {
@@ -115,7 +114,7 @@ fn bake_surface(
                 (k as f64 / num_cells[axis] as f64).clamp(0.02, 0.98) * size_m[axis]
             };
             let uv = surface.on_surface([inset(i, 0), inset(j, 1)]);
-            nodes.push(lighting.irradiance_at(surface, uv, surfaces, bvh));
+            nodes.push(lighting.irradiance_at(surface, uv, bvh));
         }
     }
     LightMap {
@@ -140,7 +139,6 @@ impl Lighting {
         &self,
         surface: &Surface,
         uv: [f64; 2],
-        surfaces: &[Surface],
         bvh: &Bvh,
     ) -> Linear {
         const LIFT_M: f64 = 1e-4;
@@ -148,8 +146,8 @@ impl Lighting {
         let normal = surface.world_from_local.transform_vector(&tangents.normal);
         let on_surface = Point3::from(surface.shape.point_at(uv));
         let origin = surface.world_from_local.transform_point(&on_surface) + normal * LIFT_M;
-        let openness = self.openness(&origin, &normal, surfaces, bvh);
-        let lamp = self.lamp_share(&origin, &normal, surfaces, bvh);
+        let openness = self.openness(&origin, &normal, bvh);
+        let lamp = self.lamp_share(&origin, &normal, bvh);
         std::array::from_fn(|c| self.ambient[c] * openness + self.lamp[c] * lamp)
     }
 
@@ -160,7 +158,6 @@ impl Lighting {
         &self,
         origin: &Point3<f64>,
         normal: &Vector3<f64>,
-        surfaces: &[Surface],
         bvh: &Bvh,
     ) -> f32 {
         let world_from_up = Rotation3::rotation_between(&Vector3::z(), normal)
@@ -176,7 +173,7 @@ impl Lighting {
                     radius2.sqrt() * angle.sin(),
                     (1.0 - radius2).sqrt(),
                 );
-            let hit = bvh.nearest_hit(surfaces, origin, &direction, [0.0, self.ambient_reach_m]);
+            let hit = bvh.nearest_hit(origin, &direction, [0.0, self.ambient_reach_m]);
             open += hit.map_or(1.0, |(_, hit)| (hit.t / self.ambient_reach_m).sqrt());
         }
         (open / f64::from(NUM_AMBIENT_RAYS)) as f32
@@ -188,7 +185,6 @@ impl Lighting {
         &self,
         origin: &Point3<f64>,
         normal: &Vector3<f64>,
-        surfaces: &[Surface],
         bvh: &Bvh,
     ) -> f32 {
         let mut share = 0.0;
@@ -203,7 +199,7 @@ impl Lighting {
                 continue;
             }
             if bvh
-                .nearest_hit(surfaces, origin, &to_lamp, [0.0, 0.999])
+                .nearest_hit( origin, &to_lamp, [0.0, 0.999])
                 .is_none()
             {
                 share += cosine;

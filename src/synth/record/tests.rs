@@ -40,3 +40,30 @@ fn look() {
         }
     }
 }
+
+#[test]
+#[ignore = "measures; run optimised"]
+#[expect(clippy::print_stderr, reason = "a tool, not a test")]
+fn speed() {
+    for name in SceneName::ALL {
+        let start = std::time::Instant::now();
+        let scene = name.build(1);
+        eprintln!("{name}: {} surfaces, built in {:?}", scene.surfaces.len(), start.elapsed());
+        let options = SynthOptions::default();
+        let num_frames = name.default_num_frames();
+        let film = film(&scene, &options, num_frames);
+        let start = std::time::Instant::now();
+        let num = 20;
+        for k in 0..num {
+            let pose = film.path.world_from_camera(film.time_s(k * num_frames / num));
+            let image = film.expose(&pose, 0.0);
+            assert!(image.depth_m.iter().all(|&depth| depth > 0.0));
+        }
+        eprintln!("cast alone {:?} a frame", start.elapsed() / num);
+        let start = std::time::Instant::now();
+        let frames: Vec<_> = (0..num).into_par_iter().map(|k| film.frame(k * num_frames / num).unwrap()).collect();
+        let num_bytes: usize = frames.iter().map(|f| f.color.bytes().len()).sum();
+        let num_depth_bytes: usize = frames.iter().map(|f| f.depth.bytes().len()).sum();
+        eprintln!("{:?} a frame, {} + {} bytes a frame", start.elapsed() / num, num_bytes / 20, num_depth_bytes / 20);
+    }
+}

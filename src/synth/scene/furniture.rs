@@ -142,7 +142,7 @@ fn row_of_books(
         let h = random.range(number + 2, 0.62, 0.92) * height_m;
         let at = *world_from_row
             * standing([x + w / 2.0, -depth_m / 2.0 + 0.02 + d / 2.0, 0.0], 0.0);
-        let index = (random.bits(number + 3) % 160) as usize;
+        let index = (random.bits(number + 3) % 100_000) as usize;
         standing_book(scene, &format!("book {index}"), &at, [w, d, h], index, 0.0012);
         x += w + 0.001;
         number += 4;
@@ -152,12 +152,11 @@ fn row_of_books(
 /// A sofa that faces −y with three cushions; its frame on the floor under its middle.
 pub(super) fn sofa(scene: &mut SceneBuilder, world_from_sofa: &RigidTransform, w: f64) {
     let at = |x: f64, y: f64, z: f64| *world_from_sofa * standing([x, y, z], 0.0);
-    let cloth = Texture::from(Pattern::Flecks {
-        ground: srgb(0x4a_6a_70),
-        fleck: srgb(0x6a_8e_90),
-        cell_m: 0.02,
+    let cloth = Texture::from(Pattern::Checks {
+        colors: [srgb(0x46_68_72), srgb(0x58_7c_84)],
+        size_m: 0.012,
     })
-    .mottled(0.08, 0.03);
+    .mottled(0.10, 0.035);
     let (depth, arm) = (0.85, 0.18);
     scene.cuboid("sofa base", &at(0.0, 0.0, 0.0), [w, depth, 0.24], all_faces(&cloth, 1));
     for (salt, x) in (2..).zip([-(w - arm) / 2.0, (w - arm) / 2.0]) {

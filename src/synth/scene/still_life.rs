@@ -24,9 +24,11 @@ const BOOK_COLORS: [[u32; 2]; 10] = [
     [0x6a_4a_2c, 0xf0_e0_b8],
 ];
 
-const BOOK_TITLES: [&str; 16] = [
+const BOOK_TITLES: [&str; 31] = [
     "ATLAS", "OPTICS", "Meshes", "Gardens", "ROME", "Rivers II", "COLOUR", "Light", "Birds",
-    "GEOMETRY", "Tea", "Signals", "The Quay", "POEMS", "Maps", "Stone",
+    "GEOMETRY", "Tea", "Signals", "The Quay", "POEMS", "Maps", "Stone", "Winter", "ALGEBRA",
+    "On Walking", "Bridges", "SEA", "Clocks", "A Short Hill", "PAPER", "Moths", "Letters",
+    "ORCHARD", "Tides", "The Lamp", "MUSIC", "Bread",
 ];
 
 pub(super) fn plain(color: u32) -> Texture {
@@ -160,7 +162,7 @@ pub(super) fn standing_book(
     pixel_m: f64,
 ) {
     let [ground, ink] = BOOK_COLORS[index % BOOK_COLORS.len()];
-    let title = BOOK_TITLES[index * 7 % BOOK_TITLES.len()];
+    let title = BOOK_TITLES[index / 7 % BOOK_TITLES.len()];
     let spine = art::spine([w, h], pixel_m, srgb(ground), srgb(ink), title);
     let cover = Texture::from(Pattern::Plain(srgb(ground))).mottled(0.06, 0.01);
     let faces = [
