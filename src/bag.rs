@@ -5,6 +5,7 @@
 //! read, and the loss is told in words.
 
 pub mod error;
+pub mod scan_writer;
 pub mod writer;
 
 pub use error::BagError;

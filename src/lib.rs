@@ -18,6 +18,8 @@ pub mod atlas;
 #[cfg(feature = "bag")]
 pub mod bag;
 pub mod geom;
+#[cfg(feature = "bag")]
+pub mod import;
 pub mod ingest;
 pub mod keyframe;
 pub mod mesh;
