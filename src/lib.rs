@@ -27,5 +27,7 @@ pub mod mesh;
 pub mod metrics;
 pub mod render;
 pub mod texinit;
+#[cfg(feature = "bag")]
+pub mod synth;
 pub mod wire;
 pub mod report;

@@ -297,7 +297,7 @@ mod tests {
             let half_width_m = if wall_m.is_some() { 0.8 } else { 15.5 / 20.0 };
             let mut num_triangles = 0;
             for (slice, (stamp, update)) in updates.iter().enumerate() {
-                let slice = slice as i64;
+                let slice = i64::try_from(slice).unwrap();
                 // 8 intervals of 0.1 s cut in 3: frames 0–2, 3–5 and 6–8.
                 let span_nanos = 100_000_000 * (NUM_FRAMES - 1);
                 assert_eq!(
@@ -310,8 +310,8 @@ mod tests {
                         let x = corners.iter().map(|c| c.x).sum::<f64>() / 3.0;
                         let first_frame = (x - half_width_m).ceil().max(0.0);
                         assert_eq!(
-                            (first_frame as i64) / 3,
-                            slice,
+                            (first_frame / 3.0).floor(),
+                            slice as f64,
                             "x {x}, first frame {first_frame}"
                         );
                     }

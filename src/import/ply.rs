@@ -11,6 +11,12 @@ use nalgebra::Point3;
 
 use super::mesh_file::Polygons;
 
+mod body;
+mod header;
+
+use body::{Body, Stop};
+use header::{Element, Property};
+
 /// Why a PLY file was refused.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum PlyError {
@@ -55,251 +61,6 @@ pub enum PlyError {
         /// The value as read.
         value: String,
     },
-}
-
-#[derive(Clone, Copy, Debug, PartialEq)]
-enum Scalar {
-    I8,
-    U8,
-    I16,
-    U16,
-    I32,
-    U32,
-    F32,
-    F64,
-}
-
-impl Scalar {
-    fn from_name(name: &str) -> Option<Self> {
-        Some(match name {
-            "char" | "int8" => Self::I8,
-            "uchar" | "uint8" => Self::U8,
-            "short" | "int16" => Self::I16,
-            "ushort" | "uint16" => Self::U16,
-            "int" | "int32" => Self::I32,
-            "uint" | "uint32" => Self::U32,
-            "float" | "float32" => Self::F32,
-            "double" | "float64" => Self::F64,
-            _ => return None,
-        })
-    }
-
-    fn is_integer(self) -> bool {
-        !matches!(self, Self::F32 | Self::F64)
-    }
-
-    fn num_bytes(self) -> usize {
-        match self {
-            Self::I8 | Self::U8 => 1,
-            Self::I16 | Self::U16 => 2,
-            Self::I32 | Self::U32 | Self::F32 => 4,
-            Self::F64 => 8,
-        }
-    }
-}
-
-#[derive(Clone, Debug, PartialEq)]
-enum Property {
-    Scalar(String, Scalar),
-    List {
-        name: String,
-        length: Scalar,
-        item: Scalar,
-    },
-}
-
-#[derive(Clone, Debug)]
-struct Element {
-    name: String,
-    count: u64,
-    properties: Vec<Property>,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq)]
-enum Encoding {
-    Ascii,
-    LittleEndian,
-    BigEndian,
-}
-
-/// Longest header line that is looked at; real ones are a few dozen bytes (comments aside).
-const MAX_HEADER_LINE_BYTES: usize = 1 << 14;
-
-struct Header {
-    encoding: Encoding,
-    elements: Vec<Element>,
-    body_offset: usize,
-}
-
-fn header_line(bytes: &[u8], offset: usize) -> Result<(&[u8], usize), PlyError> {
-    let rest = bytes.get(offset..).unwrap_or_default();
-    let window = &rest[..rest.len().min(MAX_HEADER_LINE_BYTES)];
-    let end = window
-        .iter()
-        .position(|&b| b == b'\n')
-        .ok_or(PlyError::HeaderUnfinished)?;
-    let line = &window[..end];
-    Ok((line.strip_suffix(b"\r").unwrap_or(line), offset + end + 1))
-}
-
-fn parse_header(bytes: &[u8]) -> Result<Header, PlyError> {
-    if !bytes.starts_with(b"ply") {
-        return Err(PlyError::Magic);
-    }
-    let (_, mut offset) = header_line(bytes, 0)?;
-    let mut encoding = None;
-    let mut elements: Vec<Element> = Vec::new();
-    for line_number in 2.. {
-        let (line, next_offset) = header_line(bytes, offset)?;
-        offset = next_offset;
-        let text = String::from_utf8_lossy(line);
-        let words: Vec<&str> = text.split_ascii_whitespace().collect();
-        let refuse = |reason| PlyError::Header {
-            line: line_number,
-            text: text.chars().take(80).collect(),
-            reason,
-        };
-        match words.as_slice() {
-            ["end_header"] => break,
-            [] | ["comment" | "obj_info", ..] => {}
-            ["format", format, "1.0"] => {
-                encoding = Some(match *format {
-                    "ascii" => Encoding::Ascii,
-                    "binary_little_endian" => Encoding::LittleEndian,
-                    "binary_big_endian" => Encoding::BigEndian,
-                    _ => return Err(refuse("the format is unknown")),
-                });
-            }
-            ["element", name, count] => elements.push(Element {
-                name: (*name).to_owned(),
-                count: count
-                    .parse()
-                    .map_err(|_| refuse("the count is no number"))?,
-                properties: Vec::new(),
-            }),
-            ["property", definition @ ..] => elements
-                .last_mut()
-                .ok_or_else(|| refuse("a property before any element"))?
-                .properties
-                .push(parse_property(definition).map_err(refuse)?),
-            _ => return Err(refuse("not a header line")),
-        }
-    }
-    Ok(Header {
-        encoding: encoding.ok_or(PlyError::Missing("format"))?,
-        elements,
-        body_offset: offset,
-    })
-}
-
-fn parse_property(definition: &[&str]) -> Result<Property, &'static str> {
-    let scalar = |name| Scalar::from_name(name).ok_or("the type is unknown");
-    match *definition {
-        ["list", length, item, name] => {
-            let length = scalar(length)?;
-            if !length.is_integer() {
-                return Err("a list's length must be an integer");
-            }
-            Ok(Property::List {
-                name: name.to_owned(),
-                length,
-                item: scalar(item)?,
-            })
-        }
-        [kind, name] if kind != "list" => Ok(Property::Scalar(name.to_owned(), scalar(kind)?)),
-        _ => Err("a property is 'TYPE NAME' or 'list TYPE TYPE NAME'"),
-    }
-}
-
-/// What stops the reading of a value; the caller knows where in the mesh that is.
-enum Stop {
-    Ended,
-    NotANumber(String),
-}
-
-struct Body<'a> {
-    bytes: &'a [u8],
-    encoding: Encoding,
-}
-
-impl Body<'_> {
-    /// The next value. Every scalar type of PLY is exact in `f64`.
-    fn next(&mut self, scalar: Scalar) -> Result<f64, Stop> {
-        match self.encoding {
-            Encoding::Ascii => self.next_word(scalar),
-            Encoding::LittleEndian => self.next_binary(scalar, false),
-            Encoding::BigEndian => self.next_binary(scalar, true),
-        }
-    }
-
-    fn next_word(&mut self, scalar: Scalar) -> Result<f64, Stop> {
-        let bytes = self.bytes.trim_ascii_start();
-        let end = bytes
-            .iter()
-            .position(u8::is_ascii_whitespace)
-            .unwrap_or(bytes.len());
-        if end == 0 {
-            return Err(Stop::Ended);
-        }
-        let (word, rest) = bytes.split_at(end);
-        self.bytes = rest;
-        let refuse = || Stop::NotANumber(String::from_utf8_lossy(&word[..end.min(40)]).into());
-        let value: f64 = std::str::from_utf8(word)
-            .ok()
-            .and_then(|word| word.parse().ok())
-            .ok_or_else(refuse)?;
-        if scalar == Scalar::F32 {
-            #[expect(
-                clippy::cast_possible_truncation,
-                reason = "the file declares the value a 32-bit float"
-            )]
-            return Ok(f64::from(value as f32));
-        }
-        Ok(value)
-    }
-
-    fn next_binary(&mut self, scalar: Scalar, big_endian: bool) -> Result<f64, Stop> {
-        let (raw, rest) = self
-            .bytes
-            .split_at_checked(scalar.num_bytes())
-            .ok_or(Stop::Ended)?;
-        self.bytes = rest;
-        let mut le = [0u8; 8];
-        le[..raw.len()].copy_from_slice(raw);
-        if big_endian {
-            le[..raw.len()].reverse();
-        }
-        let [b0, b1, b2, b3, ..] = le;
-        Ok(match scalar {
-            Scalar::I8 => f64::from(b0.cast_signed()),
-            Scalar::U8 => f64::from(b0),
-            Scalar::I16 => f64::from(i16::from_le_bytes([b0, b1])),
-            Scalar::U16 => f64::from(u16::from_le_bytes([b0, b1])),
-            Scalar::I32 => f64::from(i32::from_le_bytes([b0, b1, b2, b3])),
-            Scalar::U32 => f64::from(u32::from_le_bytes([b0, b1, b2, b3])),
-            Scalar::F32 => f64::from(f32::from_le_bytes([b0, b1, b2, b3])),
-            Scalar::F64 => f64::from_le_bytes(le),
-        })
-    }
-
-    /// The next list, appended to `items`. A length that the file cannot hold ends at its end.
-    fn next_list(
-        &mut self,
-        length: Scalar,
-        item: Scalar,
-        items: &mut Vec<f64>,
-    ) -> Result<(), Stop> {
-        let length = self.next(length)?;
-        if length < 0.0 || length.fract() != 0.0 {
-            return Err(Stop::NotANumber(length.to_string()));
-        }
-        let mut remaining = length;
-        while remaining > 0.0 {
-            items.push(self.next(item)?);
-            remaining -= 1.0;
-        }
-        Ok(())
-    }
 }
 
 impl Element {
@@ -445,7 +206,7 @@ impl Element {
 /// [`PlyError`] when the file is damaged or has no vertices with faces. Indices are checked
 /// against `u32` only; [`crate::mesh::TriMesh::from_soup`] checks them against the vertices.
 pub fn parse(bytes: &[u8]) -> Result<Polygons, PlyError> {
-    let header = parse_header(bytes)?;
+    let header = header::parse(bytes)?;
     let mut body = Body {
         bytes: bytes.get(header.body_offset..).unwrap_or_default(),
         encoding: header.encoding,
@@ -482,6 +243,7 @@ pub fn parse(bytes: &[u8]) -> Result<Polygons, PlyError> {
     reason = "the sample's values are small"
 )]
 mod tests {
+    use super::header::Scalar;
     use super::*;
     use proptest::prelude::*;
 
