@@ -6,13 +6,13 @@
 
 mod chunk;
 pub mod error;
-pub mod scan_writer;
 mod index;
 pub mod info;
 mod peek;
 pub mod reader;
 mod record;
 pub mod roles;
+pub mod scan_writer;
 pub mod writer;
 
 pub use error::BagError;

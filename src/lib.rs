@@ -17,6 +17,10 @@
 pub mod atlas;
 #[cfg(feature = "bag")]
 pub mod bag;
+#[cfg(feature = "cli")]
+pub mod cli;
+#[cfg(feature = "bag")]
+pub mod config;
 pub mod export;
 pub mod geom;
 #[cfg(feature = "bag")]
@@ -25,9 +29,10 @@ pub mod ingest;
 pub mod keyframe;
 pub mod mesh;
 pub mod metrics;
+pub mod pipeline;
 pub mod render;
-pub mod texinit;
+pub mod report;
 #[cfg(feature = "bag")]
 pub mod synth;
+pub mod texinit;
 pub mod wire;
-pub mod report;

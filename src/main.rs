@@ -1,3 +1,7 @@
 //! The `veneer` command: parse, build, run, exit code.
 
-fn main() {}
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    veneer::cli::main()
+}

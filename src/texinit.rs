@@ -1,8 +1,18 @@
 //! TexInit: from a mesh and posed frames to an initial texture (ECCV 2022, section 3.1) (L3).
+//!
+//! In: a triangle mesh in the world frame, and keyframes with poses in that frame. Out: a place
+//! in the atlas for every triangle, and a colour for every texel, with its source. Stages:
+//!
+//! 1. [`flatten`]: charts, each flattened by boundary first flattening.
+//! 2. [`overlap`]: triangles of a chart that cover each other are put on different pieces.
+//! 3. [`assign`]: which frame paints which triangle, by three cues (Eq. MRFTex).
+//! 4. [`crate::atlas::pack`]: rectangles on pages, at one texel density taken from the images
+//!    ([`density`]).
+//! 5. [`transfer`]: colour copied from the chosen frame.
+//! 6. [`fill`]: colours for what no frame sees; then [`crate::atlas::gutter`].
 
 pub mod assign;
-//! TexInit: a texture atlas from a mesh and posed keyframes (L3).
-
+pub mod density;
 pub mod fill;
 pub mod flatten;
 pub mod overlap;
@@ -10,3 +20,220 @@ pub mod transfer;
 
 #[cfg(test)]
 pub(crate) mod analytic_scene;
+
+use std::sync::Arc;
+
+use crate::atlas::gutter::GutterReport;
+use crate::atlas::texture::TextureMismatch;
+use crate::atlas::{self, AtlasLayout, AtlasTexture, PackError, PackParams, PackReport};
+use crate::geom::ImageError;
+use crate::keyframe::{DecodedFrame, Keyframe};
+use crate::mesh::TriMesh;
+
+use assign::{AssignError, AssignParams, Assignment};
+use density::DensityParams;
+use fill::{FillError, FillParams, FillReport};
+use flatten::{ChartMode, FlatChart, FlattenError, FlattenParams, FlattenReport};
+use overlap::{OverlapParams, OverlapReport};
+use transfer::{TransferError, TransferParams, TransferReport};
+
+/// Settings of all stages.
+#[derive(Clone, Debug, Default)]
+pub struct TexInitParams {
+    /// Charts and flattening.
+    pub flatten: FlattenParams,
+    /// Separation of overlaps.
+    pub overlap: OverlapParams,
+    /// Choice of frames.
+    pub assign: AssignParams,
+    /// Texels per metre.
+    pub density: DensityParams,
+    /// Pages.
+    pub pack: PackParams,
+    /// Colour transfer.
+    pub transfer: TransferParams,
+    /// What no frame sees.
+    pub fill: FillParams,
+}
+
+impl TexInitParams {
+    /// The paper's form, with the published program's choices where its text is silent: one chart
+    /// per connected component, its cues and weights alone, every triangle by itself.
+    pub fn paper() -> Self {
+        Self {
+            flatten: FlattenParams {
+                mode: ChartMode::Paper,
+                ..FlattenParams::default()
+            },
+            assign: AssignParams::paper(),
+            ..Self::default()
+        }
+    }
+}
+
+/// Why no texture was made.
+#[derive(Debug, thiserror::Error)]
+pub enum TexInitError {
+    /// Flattening refused.
+    #[error(transparent)]
+    Flatten(#[from] FlattenError),
+    /// Assignment refused.
+    #[error(transparent)]
+    Assign(#[from] AssignError),
+    /// Packing refused.
+    #[error(transparent)]
+    Pack(#[from] PackError),
+    /// Transfer refused.
+    #[error(transparent)]
+    Transfer(#[from] TransferError),
+    /// Filling refused.
+    #[error(transparent)]
+    Fill(#[from] FillError),
+    /// The gutter could not be painted.
+    #[error(transparent)]
+    Gutter(#[from] TextureMismatch),
+}
+
+/// A textured mesh's layout and texture, and how they came about.
+#[derive(Debug)]
+pub struct TexInit {
+    /// Where each triangle lies.
+    pub layout: AtlasLayout,
+    /// The pages. Sources name keyframes by [`crate::keyframe::KeyframeId`].
+    pub texture: AtlasTexture,
+    /// Which frame paints each triangle, as an index into the frames given.
+    pub assignment: Assignment,
+    /// How each stage went.
+    pub report: TexInitReport,
+}
+
+/// How each stage went.
+#[derive(Debug)]
+pub struct TexInitReport {
+    /// Flattening.
+    pub flatten: FlattenReport,
+    /// Separation of overlaps.
+    pub overlap: OverlapReport,
+    /// Packing.
+    pub pack: PackReport,
+    /// Density that the images asked for, texels per metre; the layout has the one that fitted.
+    pub wanted_texels_per_m: f64,
+    /// Colour transfer.
+    pub transfer: TransferReport,
+    /// Filling.
+    pub fill: FillReport,
+    /// Gutter.
+    pub gutter: GutterReport,
+}
+
+/// The stages, in order; told to the observer as each begins, with its number of steps.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stage {
+    /// Charts and flattening.
+    Flatten,
+    /// Separation of overlaps.
+    Overlap,
+    /// Choice of frames: a step is a frame.
+    Assign,
+    /// Density and packing.
+    Pack,
+    /// Colour transfer: a step is a frame.
+    Transfer,
+    /// Filling and gutter.
+    Fill,
+}
+
+impl Stage {
+    /// Its name for people.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Flatten => "flatten charts",
+            Self::Overlap => "separate overlaps",
+            Self::Assign => "choose frames",
+            Self::Pack => "pack pages",
+            Self::Transfer => "transfer colour",
+            Self::Fill => "fill and gutter",
+        }
+    }
+}
+
+/// Is told where TexInit is; must not influence it.
+pub trait Observer: Sync {
+    /// A stage begins, and the one before it has ended.
+    fn begin(&self, stage: Stage, num_steps: usize);
+    /// Some steps are done.
+    fn advance(&self, num_steps: usize);
+}
+
+/// Decodes a keyframe; called from many threads.
+pub type Decode<'a> = dyn Fn(&Keyframe) -> Result<Arc<DecodedFrame>, ImageError> + Sync + 'a;
+
+/// Textures `mesh` from `frames`.
+///
+/// # Errors
+/// [`TexInitError`] for a parameter out of range or a mesh too large for its texel budget. A frame
+/// that does not decode is no error: it is counted in the report.
+pub fn texinit(
+    mesh: &TriMesh,
+    frames: &[Arc<Keyframe>],
+    decode: &Decode<'_>,
+    params: &TexInitParams,
+    observer: &dyn Observer,
+) -> Result<TexInit, TexInitError> {
+    let advance = |num_steps: usize| observer.advance(num_steps);
+
+    observer.begin(Stage::Flatten, 0);
+    let flat = flatten::flatten(mesh, &params.flatten)?;
+
+    observer.begin(Stage::Overlap, 0);
+    let (charts, overlap_report) = overlap::separate(flat.charts, &params.overlap);
+
+    observer.begin(Stage::Assign, frames.len());
+    let assignment = assign::assign(mesh, frames, decode, &params.assign, &advance)?;
+
+    observer.begin(Stage::Pack, 0);
+    let wanted_texels_per_m =
+        density::wanted_texels_per_m(mesh, &assignment.best_texels_per_m, &params.density);
+    let (layout, pack_report) = place(mesh, &charts, wanted_texels_per_m, &params.pack)?;
+    drop(charts);
+
+    observer.begin(Stage::Transfer, assignment.report.num_frames_used);
+    let (mut texture, transfer_report) = transfer::transfer(
+        mesh,
+        &layout,
+        &assignment,
+        frames,
+        decode,
+        &params.transfer,
+        &advance,
+    )?;
+
+    observer.begin(Stage::Fill, 0);
+    let fill_report = fill::fill_unseen(mesh, &layout, &mut texture, &params.fill)?;
+    let gutter_report = atlas::gutter::dilate_gutters(&layout, &mut texture)?;
+
+    Ok(TexInit {
+        layout,
+        texture,
+        assignment,
+        report: TexInitReport {
+            flatten: flat.report,
+            overlap: overlap_report,
+            pack: pack_report,
+            wanted_texels_per_m,
+            transfer: transfer_report,
+            fill: fill_report,
+            gutter: gutter_report,
+        },
+    })
+}
+
+fn place(
+    mesh: &TriMesh,
+    charts: &[FlatChart],
+    wanted_texels_per_m: f64,
+    params: &PackParams,
+) -> Result<(AtlasLayout, PackReport), PackError> {
+    let texels_per_m = atlas::texels_per_m_for_budget(charts, wanted_texels_per_m, params)?;
+    atlas::pack::pack(charts, mesh.num_triangles(), texels_per_m, params)
+}

@@ -9,7 +9,11 @@
     reason = "a test whose oracle cannot be reached says SKIPPED"
 )]
 
+mod architecture;
+mod bad_input;
+mod command;
 mod export;
 mod python;
+mod replay;
 mod report;
 mod textured_room;

@@ -1,0 +1,121 @@
+//! The command line: one file per subcommand. Only here are a source and a sink chosen (L8).
+
+mod import;
+mod info;
+mod params;
+mod progress;
+mod replay;
+mod settings;
+mod synth;
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+
+const EXAMPLES: &str = "\
+Examples:
+  veneer replay scan.mcap --out out      texture a recording; open out/report.html
+  veneer info scan.mcap                  what is in it, and what is missing
+  veneer import capture DIR -o scan.mcap make a recording from a data set
+  veneer synth room -o room.mcap         make a recording whose texture is known
+
+Exit codes: 0 done, 1 failed, 2 wrong usage.";
+
+/// Paints a sharp texture onto a scan's mesh.
+#[derive(Debug, Parser)]
+#[command(name = "veneer", version, about, after_help = EXAMPLES)]
+struct Cli {
+    /// Print nothing but errors.
+    #[arg(short, long, global = true)]
+    quiet: bool,
+
+    /// Worker threads; 0 takes one per core. The result does not depend on it.
+    #[arg(long, global = true, default_value_t = 0, value_name = "N")]
+    threads: usize,
+
+    /// Log filter, as in `veneer=debug` (RUST_LOG syntax).
+    #[arg(long, global = true, default_value = "warn", value_name = "FILTER")]
+    log_level: String,
+
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    Replay(replay::ReplayArgs),
+    Import(import::ImportArgs),
+    Synth(synth::SynthArgs),
+    Info(info::InfoArgs),
+    Params(params::ParamsArgs),
+}
+
+/// What the process was asked to do was impossible to understand, as opposed to having failed.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+struct Usage(String);
+
+/// Runs the command line of this process.
+pub fn main() -> ExitCode {
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(error) => return usage_exit(&error),
+    };
+    match run(&cli) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            print_error(&error);
+            let is_usage = error.downcast_ref::<Usage>().is_some();
+            ExitCode::from(if is_usage { 2 } else { 1 })
+        }
+    }
+}
+
+/// clap's own exit codes are the house's: 0 for help and version, 2 for wrong usage.
+fn usage_exit(error: &clap::Error) -> ExitCode {
+    // Nothing is left to do where the terminal is gone.
+    error.print().ok();
+    ExitCode::from(if error.use_stderr() { 2 } else { 0 })
+}
+
+fn run(cli: &Cli) -> anyhow::Result<()> {
+    let filter = tracing_subscriber::EnvFilter::try_new(&cli.log_level)
+        .map_err(|e| Usage(format!("--log-level '{}': {e}", cli.log_level)))?;
+    tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(std::io::stderr)
+        .init();
+    rayon::ThreadPoolBuilder::new()
+        .num_threads(cli.threads)
+        .build_global()?;
+    match &cli.command {
+        Command::Replay(args) => replay::run(args, cli.quiet),
+        Command::Import(args) => import::run(args, cli.quiet),
+        Command::Synth(args) => synth::run(args, cli.quiet),
+        Command::Info(args) => info::run(args),
+        Command::Params(args) => params::run(args),
+    }
+}
+
+#[expect(clippy::print_stderr, reason = "the command's error channel")]
+fn print_error(error: &anyhow::Error) {
+    eprintln!("error: {error}");
+    let mut previous = error.to_string();
+    for cause in error.chain().skip(1) {
+        let text = cause.to_string();
+        // Transparent wrappers repeat the words of what they wrap.
+        if !previous.contains(&text) {
+            eprintln!("  because: {text}");
+        }
+        previous = text;
+    }
+}
+
+/// Writes a product to standard output; a closed pipe is no failure.
+fn print_product(text: &str) -> anyhow::Result<()> {
+    use std::io::Write;
+    match std::io::stdout().lock().write_all(text.as_bytes()) {
+        Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => Err(error.into()),
+        _ => Ok(()),
+    }
+}

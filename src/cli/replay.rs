@@ -1,0 +1,154 @@
+//! `veneer replay`: a recording becomes a textured mesh, files and a report.
+
+mod score;
+mod summary;
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use anyhow::Context;
+use clap::Args;
+
+use super::print_product;
+use super::progress::TerminalProgress;
+use super::settings::SettingsArgs;
+use crate::bag::BagReader;
+use crate::export::{self, TexturedMesh};
+use crate::pipeline::{self, Progress, Run};
+use crate::report::{self, ReportView};
+
+/// Texture a recording: the live pipeline on the bag's clock, as fast as the machine goes.
+///
+/// Writes scan.glb, scan.obj, scan.ply, atlas/, provenance/, report.html, report.json and
+/// hashes.txt. The same bag and parameters give the same bytes (the report's times excepted).
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  veneer replay scan.mcap --out out
+  veneer replay scan.mcap --out out --params-file veneer.yaml -p export.glb_images:=jpeg
+  veneer replay scan.mcap --out out -r rgb/image:=/front/image_raw")]
+pub(super) struct ReplayArgs {
+    /// The recording (.mcap).
+    bag: PathBuf,
+
+    /// Folder for what is made; created if it is not there.
+    #[arg(short, long, value_name = "DIR")]
+    out: PathBuf,
+
+    /// Print the report's numbers as JSON to standard output.
+    #[arg(long)]
+    json: bool,
+
+    #[command(flatten)]
+    settings: SettingsArgs,
+}
+
+pub(super) fn run(args: &ReplayArgs, quiet: bool) -> anyhow::Result<()> {
+    let begun = Instant::now();
+    let config = args.settings.resolve()?;
+    // An unwritable folder should be known before the work, not after it.
+    std::fs::create_dir_all(&args.out)
+        .with_context(|| format!("cannot create the output folder {}", args.out.display()))?;
+    let progress = TerminalProgress::new(quiet);
+
+    let mut bag = BagReader::open(&args.bag, &config.topics)?;
+    let mut run = pipeline::run(&mut bag, &config.pipeline, &progress)
+        .with_context(|| why_not(&args.bag, &bag))?;
+    let views = take_views(&mut run);
+
+    progress.begin("write exports", 0);
+    let export_begun = Instant::now();
+    let textured = TexturedMesh::new(&run.mesh, &run.texinit.layout, &run.texinit.texture)?;
+    let exported = export::write_all(&textured, &args.out, &config.export)?;
+    let export_s = export_begun.elapsed().as_secs_f64();
+
+    progress.begin("draw the report", 0);
+    let mut report = summary::of_run(&run, &args.bag, &bag, &config);
+    report.stages.push(report::Stage {
+        name: "write exports".to_owned(),
+        seconds: export_s,
+    });
+    report.synthetic = score::against_truth(&args.bag, &run)?;
+    report
+        .notes
+        .extend(exported.notes.iter().map(|text| report::Note {
+            severity: report::Severity::Info,
+            text: text.clone(),
+        }));
+    report.measure(&textured, &views)?;
+    report.peak_memory_bytes = summary::peak_memory_bytes();
+    // Until here: the page cannot say how long it took to draw itself.
+    report.total_s = begun.elapsed().as_secs_f64();
+    let report_files = report::write(&report, Some(&textured), &views, &args.out)?;
+    export::hashes::write(&args.out, &exported.files, &report_files)?;
+    progress.finish();
+
+    if args.json {
+        print_product(&(serde_json::to_string_pretty(&report)? + "\n"))?;
+    } else if !quiet {
+        print_product(&closing_lines(
+            &report,
+            &args.out,
+            begun.elapsed().as_secs_f64(),
+        ))?;
+    }
+    Ok(())
+}
+
+/// What the bag lacks, as the context of whatever failed for it.
+fn why_not(path: &Path, bag: &BagReader) -> String {
+    let mut text = format!("{} cannot be textured", path.display());
+    for missing in &bag.plan().missing {
+        text += &format!("; missing {}: {}", missing.role.name(), missing.remedy);
+    }
+    text
+}
+
+fn take_views(run: &mut Run) -> Vec<ReportView> {
+    let first = run.keyframes.first().map_or(0, |k| k.stamp.as_nanos());
+    std::mem::take(&mut run.held_out)
+        .into_iter()
+        .map(|view| {
+            let seconds = (view.keyframe.stamp.as_nanos() - first) as f64 * 1e-9;
+            ReportView {
+                name: format!("keyframe {} at {seconds:.1} s", view.keyframe.id.0),
+                stamp: view.keyframe.stamp,
+                held_out: true,
+                photo: view.photo,
+                render: view.render,
+                mask: view.mask,
+                triangle: view.triangle,
+            }
+        })
+        .collect()
+}
+
+fn closing_lines(report: &report::Report, out: &Path, total_s: f64) -> String {
+    let mut lines = format!(
+        "{} triangles, {} keyframes, {} charts on {} page(s) of {}x{}\n",
+        report.mesh.num_triangles,
+        report.keyframes.len(),
+        report.charts.num_charts,
+        report.atlas.num_pages,
+        report.atlas.page_size_texel[0],
+        report.atlas.page_size_texel[1],
+    );
+    if let Some(score) = &report.synthetic {
+        lines += &format!(
+            "error against the known texture: {:.2}/255 over {} texels\n",
+            score.mean_abs, score.num_texels
+        );
+    }
+    let num_dropped: u64 = report.drops.iter().map(|drop| drop.count).sum();
+    if num_dropped > 0 {
+        lines += &format!("{num_dropped} messages or frames left out; the report says why\n");
+    }
+    for loss in &report.source.losses {
+        lines += &format!("lost: {loss}\n");
+    }
+    lines
+        + &format!(
+            "{total_s:.1} s; open {}\n",
+            out.join("report.html").display()
+        )
+}

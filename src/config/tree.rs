@@ -1,0 +1,398 @@
+//! All parameters: one row each.
+
+use super::Config;
+use super::parameter::{Access, Parameter};
+use crate::bag;
+use crate::export::NormalMode;
+use crate::export::pages::PageFormat;
+use crate::ingest::PoseSource;
+use crate::texinit::TexInitParams;
+use crate::texinit::flatten::ChartMode;
+use crate::texinit::transfer::TransferMode;
+
+use Access::{Bool, Choice, Count, Float, Float32, Int, Text};
+
+const fn row(
+    name: &'static str,
+    unit: &'static str,
+    description: &'static str,
+    access: Access,
+) -> Parameter {
+    Parameter {
+        name,
+        unit,
+        description,
+        access,
+    }
+}
+
+/// JPEG quality where none was chosen.
+const JPEG_QUALITY: u8 = 92;
+
+/// All parameters, by family.
+#[rustfmt::skip]
+pub const PARAMETERS: &[Parameter] = &[
+    row("approx_sync", "", "Pair colour and depth of nearly equal stamps; otherwise only of equal ones.",
+        Bool(|c| &mut c.pipeline.ingest.approx_sync)),
+    row("approx_sync_max_interval", "s", "Largest difference of the stamps of a pair.",
+        Float(|c| &mut c.pipeline.ingest.approx_sync_max_interval_s, 0.0, 10.0)),
+    row("topic_queue_size", "", "Messages of one topic that wait to be read.",
+        Count(|c| &mut c.pipeline.ingest.topic_queue_size, 1, 1000)),
+    row("sync_queue_size", "", "Images of one kind that wait for a partner; the oldest is dropped.",
+        Count(|c| &mut c.pipeline.ingest.sync_queue_size, 1, 1000)),
+    row("wait_for_transform", "s", "How long a frame waits for its pose, in the time of the stream.",
+        Float(|c| &mut c.pipeline.ingest.wait_for_transform_s, 0.0, 60.0)),
+    row("pose_queue_size", "", "Frames that wait for a pose; the oldest must then do with what is known.",
+        Count(|c| &mut c.pipeline.ingest.pose_queue_size, 1, 10_000)),
+    row("pose_source", "", "Where the camera's pose comes from.",
+        Choice { words: &["auto", "tf", "pose", "odom"], set: set_pose_source, get: pose_source }),
+    row("frame_id", "", "Optical frame of the colour camera; empty takes it from the images.",
+        Text(|c| &mut c.pipeline.ingest.camera_frame_id)),
+    row("map_frame_id", "", "The world frame; empty takes the mesh's.",
+        Text(|c| &mut c.pipeline.ingest.map_frame_id)),
+    row("pose_frame_id", "", "The frame whose pose the pose topic gives; empty means the colour camera's.",
+        Text(|c| &mut c.pipeline.ingest.pose_frame_id)),
+    row("mesh_frame", "", "The frame of shape_msgs/Mesh, which does not say it.",
+        Text(|c| &mut c.topics.mesh_frame)),
+    row("tf.buffer", "s", "How long transforms are kept.",
+        Float(|c| &mut c.pipeline.ingest.tf_buffer_s, 0.1, 3600.0)),
+    row("tf.max_extrapolation", "s", "How far outside the known transforms a stamp may lie.",
+        Float(|c| &mut c.pipeline.ingest.max_extrapolation_s, 0.0, 10.0)),
+    row("tf.max_interpolation_gap", "s", "Longest gap between two transforms of a moving camera that is bridged.",
+        Float(|c| &mut c.pipeline.ingest.max_interpolation_gap_s, 0.001, 3600.0)),
+    row("clock_jump_back", "s", "Stamps that fall back by more than this, twice, mean that the clock was set back.",
+        Float(|c| &mut c.pipeline.ingest.clock_jump_back_s, 0.001, 3600.0)),
+
+    row("keyframe.budget_mb", "MB", "Encoded images that are kept; beyond it the most redundant keyframe goes.",
+        Float(|c| &mut c.pipeline.keyframe.budget_mb, 1.0, 1e6)),
+    row("keyframe.decode_cache_mb", "MB", "Decoded images kept for reuse.",
+        Float(|c| &mut c.pipeline.keyframe.decode_cache_mb, 0.0, 1e6)),
+    row("keyframe.min_translation_m", "m", "Distance from every kept frame that makes a new view.",
+        Float(|c| &mut c.pipeline.keyframe.min_translation_m, 0.0, 100.0)),
+    row("keyframe.min_rotation_rad", "rad", "Angle to every kept frame that makes a new view.",
+        Float(|c| &mut c.pipeline.keyframe.min_rotation_rad, 0.0, 3.2)),
+    row("keyframe.sparse_interval_s", "s", "Time since the last keyframe after which less motion suffices.",
+        Float(|c| &mut c.pipeline.keyframe.sparse_interval_s, 0.0, 3600.0)),
+    row("keyframe.sparse_motion_share", "", "The share of the motion that then suffices.",
+        Float(|c| &mut c.pipeline.keyframe.sparse_motion_share, 0.0, 1.0)),
+    row("keyframe.min_relative_sharpness", "", "Least sharpness as a share of the running median; 0 keeps blurred frames.",
+        Float(|c| &mut c.pipeline.keyframe.min_relative_sharpness, 0.0, 10.0)),
+    row("keyframe.sharpness_window", "", "Recent frames that the median runs over.",
+        Count(|c| &mut c.pipeline.keyframe.sharpness_window, 1, 10_000)),
+    row("keyframe.replace_sharpness_ratio", "", "How many times as sharp a frame must be to replace one of nearly the same view.",
+        Float(|c| &mut c.pipeline.keyframe.replace_sharpness_ratio, 1.0, 100.0)),
+    row("keyframe.min_mean_luma", "", "Darker frames are refused.",
+        Float(|c| &mut c.pipeline.keyframe.min_mean_luma, 0.0, 1.0)),
+    row("keyframe.max_mean_luma", "", "Brighter frames are refused.",
+        Float(|c| &mut c.pipeline.keyframe.max_mean_luma, 0.0, 1.0)),
+    row("keyframe.max_clipped", "", "Frames with a larger share of clipped pixels are refused.",
+        Float(|c| &mut c.pipeline.keyframe.max_clipped, 0.0, 1.0)),
+
+    row("mesh.weld_tolerance_m", "m", "Vertices closer than this are one; 0 joins only those of equal position.",
+        Float(|c| &mut c.pipeline.weld_tolerance_m, 0.0, 1.0)),
+
+    row("texinit.mode", "", "Resets all of texinit to ours (streaming) or to the paper's form (paper); comes before other texinit settings.",
+        Choice { words: &["streaming", "paper"], set: set_mode, get: mode }),
+    row("texinit.init", "", "Colour of the chosen frame (assigned), or the mean over all frames (l2avg).",
+        Choice { words: &["assigned", "l2avg"], set: set_init, get: init }),
+    row("texinit.chart.max_normal_deviation_rad", "rad", "Largest angle between a triangle's smoothed normal and its chart's.",
+        Float(|c| &mut c.pipeline.texinit.flatten.max_normal_deviation_rad, 0.01, 1.5)),
+    row("texinit.chart.max_triangles", "", "Most triangles in a chart.",
+        Count(|c| &mut c.pipeline.texinit.flatten.max_chart_triangles, 1, 1_000_000)),
+    row("texinit.chart.min_triangles", "", "Smaller charts are merged into neighbours where the limits allow.",
+        Count(|c| &mut c.pipeline.texinit.flatten.min_chart_triangles, 0, 1_000_000)),
+    row("texinit.chart.max_roughness", "", "Largest perimeter² / (4π area) that merging may make; 1 is a disk.",
+        Float(|c| &mut c.pipeline.texinit.flatten.max_boundary_roughness, 1.0, 1000.0)),
+    row("texinit.chart.max_quasi_conformal", "", "Charts of a larger mean quasi-conformal error are split; 1 is conformal.",
+        Float(|c| &mut c.pipeline.texinit.flatten.max_quasi_conformal_mean, 1.0, 100.0)),
+    row("texinit.chart.max_stretch", "", "Charts in which lengths grow or shrink by more are split.",
+        Float(|c| &mut c.pipeline.texinit.flatten.max_stretch, 1.0, 100.0)),
+    row("texinit.overlap.max_sweeps", "", "Sweeps of dual coordinate descent that separate overlaps.",
+        Count(|c| &mut c.pipeline.texinit.overlap.max_sweeps, 0, 1000)),
+    row("texinit.area_weight", "1/px²", "ω1: weight of the projected area (cue C1).",
+        Float32(|c| &mut c.pipeline.texinit.assign.area_weight, 0.0, 1.0)),
+    row("texinit.depth_weight", "1/m", "ω2: weight of the depth discrepancy (cue C2).",
+        Float32(|c| &mut c.pipeline.texinit.assign.depth_weight, -1e4, 0.0)),
+    row("texinit.color_weight", "", "ω3: weight of the colour discrepancy (cue C3).",
+        Float32(|c| &mut c.pipeline.texinit.assign.color_weight, -1e4, 0.0)),
+    row("texinit.empty_score", "", "Score of painting nothing: frames below it are not used.",
+        Float32(|c| &mut c.pipeline.texinit.assign.empty_score, -1e4, 0.0)),
+    row("texinit.max_depth_difference_m", "m", "A larger depth discrepancy rejects the frame.",
+        Float32(|c| &mut c.pipeline.texinit.assign.max_depth_difference_m, 0.001, 10.0)),
+    row("texinit.unmeasured_depth_difference_m", "m", "Depth discrepancy where nothing was measured.",
+        Float32(|c| &mut c.pipeline.texinit.assign.unmeasured_depth_difference_m, 0.0, 10.0)),
+    row("texinit.depth_edge_penalty", "", "Taken off for a depth edge nearby.",
+        Float32(|c| &mut c.pipeline.texinit.assign.depth_edge_penalty, 0.0, 100.0)),
+    row("texinit.border_margin", "", "Vertices keep this share of the image's width from its border.",
+        Float32(|c| &mut c.pipeline.texinit.assign.border_margin, 0.0, 0.2)),
+    row("texinit.min_elevation_rad", "rad", "Views flatter than this to the surface are penalised as grazing.",
+        Float32(|c| &mut c.pipeline.texinit.assign.min_elevation_rad, 0.0, 1.57)),
+    row("texinit.grazing_penalty", "", "Taken off grazing views.",
+        Float32(|c| &mut c.pipeline.texinit.assign.grazing_penalty, 0.0, 100.0)),
+    row("texinit.resolution_weight", "", "Per doubling of the pixels per metre.",
+        Float32(|c| &mut c.pipeline.texinit.assign.resolution_weight, 0.0, 100.0)),
+    row("texinit.sharpness_weight", "", "Taken off per halving of the sharpness against the median frame.",
+        Float32(|c| &mut c.pipeline.texinit.assign.sharpness_weight, 0.0, 100.0)),
+    row("texinit.exposure_weight", "", "Taken off per unit of mean luma away from the median frame.",
+        Float32(|c| &mut c.pipeline.texinit.assign.exposure_weight, 0.0, 100.0)),
+    row("texinit.pairwise_weight", "", "ω4: reward for equal frames on adjacent triangles (cue C4); 0 decides each alone.",
+        Access::Custom { range: "0 ..= 100", set: set_pairwise_weight, get: pairwise_weight }),
+    row("texinit.texels_per_m", "1/m", "Density of the texture; 0 takes it from the images.",
+        Float(|c| &mut c.pipeline.texinit.density.texels_per_m, 0.0, 1e5)),
+    row("texinit.density_quantile", "", "Share of the seen area whose best pixels are no smaller than a texel.",
+        Float(|c| &mut c.pipeline.texinit.density.area_quantile, 0.0, 1.0)),
+    row("texinit.max_texels_per_m", "1/m", "Upper bound of the density taken from the images.",
+        Float(|c| &mut c.pipeline.texinit.density.max_texels_per_m, 1.0, 1e5)),
+    row("texinit.max_texels", "", "Texels of all pages together; the density is lowered to fit. A texel takes 8 bytes.",
+        Access::Custom { range: "4096 ..= 17179869184", set: set_max_texels, get: max_texels }),
+    row("texinit.page_size_texel", "", "Largest side of a page, a power of two.",
+        Choice { words: &["256", "512", "1024", "2048", "4096", "8192", "16384"], set: set_page_size, get: page_size }),
+    row("texinit.gutter_texel", "", "Texels around each chart that repeat its border.",
+        Int(|c| &mut c.pipeline.texinit.pack.gutter_texel, 2, 16)),
+    row("texinit.max_samples", "", "Samples along each side of a texel where the image is finer.",
+        Int(|c| &mut c.pipeline.texinit.transfer.max_samples, 1, 16)),
+
+    row("eval.held_out_views", "", "Keyframes kept from the texture to judge it by; at most a tenth of all.",
+        Count(|c| &mut c.pipeline.held_out.num_views, 0, 1000)),
+
+    row("export.glb", "", "Write scan.glb.", Bool(|c| &mut c.export.glb)),
+    row("export.obj", "", "Write scan.obj and scan.mtl.", Bool(|c| &mut c.export.obj)),
+    row("export.ply", "", "Write scan.ply.", Bool(|c| &mut c.export.ply)),
+    row("export.provenance", "", "Write provenance/: which frame painted each texel, and how far to trust it.",
+        Bool(|c| &mut c.export.provenance)),
+    row("export.glb_images", "", "How the GLB carries its pages.",
+        Choice { words: &["png", "jpeg"], set: set_glb_images, get: glb_images }),
+    row("export.jpeg_quality", "", "Quality of the GLB's pages as JPEG; setting it chooses JPEG.",
+        Access::Custom { range: "1 ..= 100", set: set_jpeg_quality, get: jpeg_quality }),
+    row("export.normals", "", "Normals in the GLB: one per vertex, or one per triangle.",
+        Choice { words: &["smooth", "flat"], set: set_normals, get: normals }),
+];
+
+fn set_pose_source(config: &mut Config, word: &str) {
+    let source = match word {
+        "tf" => PoseSource::Tf,
+        "pose" => PoseSource::Pose,
+        "odom" => PoseSource::Odom,
+        _ => PoseSource::Auto,
+    };
+    config.pipeline.ingest.pose_source = source;
+    config.topics.pose_source = match source {
+        PoseSource::Auto => bag::PoseSource::Auto,
+        PoseSource::Tf => bag::PoseSource::Tf,
+        PoseSource::Pose => bag::PoseSource::Pose,
+        PoseSource::Odom => bag::PoseSource::Odom,
+    };
+}
+
+fn pose_source(config: &Config) -> &'static str {
+    match config.pipeline.ingest.pose_source {
+        PoseSource::Auto => "auto",
+        PoseSource::Tf => "tf",
+        PoseSource::Pose => "pose",
+        PoseSource::Odom => "odom",
+    }
+}
+
+fn set_mode(config: &mut Config, word: &str) {
+    config.pipeline.texinit = match word {
+        "paper" => TexInitParams::paper(),
+        _ => TexInitParams::default(),
+    };
+}
+
+fn mode(config: &Config) -> &'static str {
+    match config.pipeline.texinit.flatten.mode {
+        ChartMode::Streaming => "streaming",
+        ChartMode::Paper => "paper",
+    }
+}
+
+fn set_init(config: &mut Config, word: &str) {
+    config.pipeline.texinit.transfer.mode = match word {
+        "l2avg" => TransferMode::L2Avg,
+        _ => TransferMode::Assigned,
+    };
+}
+
+fn init(config: &Config) -> &'static str {
+    match config.pipeline.texinit.transfer.mode {
+        TransferMode::Assigned => "assigned",
+        TransferMode::L2Avg => "l2avg",
+    }
+}
+
+fn set_pairwise_weight(config: &mut Config, text: &str) -> Option<()> {
+    let weight: f32 = text.parse().ok()?;
+    if !(0.0..=100.0).contains(&weight) {
+        return None;
+    }
+    let pairwise = &mut config.pipeline.texinit.assign.pairwise;
+    if weight > 0.0 {
+        pairwise.get_or_insert_default().weight = weight;
+    } else {
+        *pairwise = None;
+    }
+    Some(())
+}
+
+fn pairwise_weight(config: &Config) -> String {
+    let pairwise = &config.pipeline.texinit.assign.pairwise;
+    pairwise.as_ref().map_or(0.0, |p| p.weight).to_string()
+}
+
+fn set_max_texels(config: &mut Config, text: &str) -> Option<()> {
+    let num_texels: u64 = text.parse().ok()?;
+    if !(4096..=1 << 34).contains(&num_texels) {
+        return None;
+    }
+    config.pipeline.texinit.pack.max_texels = num_texels;
+    Some(())
+}
+
+fn max_texels(config: &Config) -> String {
+    config.pipeline.texinit.pack.max_texels.to_string()
+}
+
+const PAGE_SIZES: [(&str, u32); 7] = [
+    ("256", 256),
+    ("512", 512),
+    ("1024", 1024),
+    ("2048", 2048),
+    ("4096", 4096),
+    ("8192", 8192),
+    ("16384", 16384),
+];
+
+fn set_page_size(config: &mut Config, word: &str) {
+    if let Some((_, size)) = PAGE_SIZES.iter().find(|(name, _)| *name == word) {
+        config.pipeline.texinit.pack.page_size_texel = *size;
+    }
+}
+
+fn page_size(config: &Config) -> &'static str {
+    let current = config.pipeline.texinit.pack.page_size_texel;
+    PAGE_SIZES
+        .iter()
+        .find(|(_, size)| *size == current)
+        .map_or("4096", |(name, _)| name)
+}
+
+fn set_glb_images(config: &mut Config, word: &str) {
+    config.export.glb_pages = match (word, config.export.glb_pages) {
+        ("jpeg", PageFormat::Png) => PageFormat::Jpeg {
+            quality: JPEG_QUALITY,
+        },
+        ("jpeg", jpeg) => jpeg,
+        _ => PageFormat::Png,
+    };
+}
+
+fn glb_images(config: &Config) -> &'static str {
+    match config.export.glb_pages {
+        PageFormat::Png => "png",
+        PageFormat::Jpeg { .. } => "jpeg",
+    }
+}
+
+fn set_jpeg_quality(config: &mut Config, text: &str) -> Option<()> {
+    let wanted: u8 = text.parse().ok()?;
+    if !(1..=100).contains(&wanted) {
+        return None;
+    }
+    if let PageFormat::Jpeg { quality } = &mut config.export.glb_pages {
+        *quality = wanted;
+    } else if wanted != JPEG_QUALITY {
+        config.export.glb_pages = PageFormat::Jpeg { quality: wanted };
+    }
+    Some(())
+}
+
+fn jpeg_quality(config: &Config) -> String {
+    match config.export.glb_pages {
+        PageFormat::Png => JPEG_QUALITY.to_string(),
+        PageFormat::Jpeg { quality } => quality.to_string(),
+    }
+}
+
+fn set_normals(config: &mut Config, word: &str) {
+    config.export.normals = match word {
+        "flat" => NormalMode::Flat,
+        _ => NormalMode::Smooth,
+    };
+}
+
+fn normals(config: &Config) -> &'static str {
+    match config.export.normals {
+        NormalMode::Smooth => "smooth",
+        NormalMode::Flat => "flat",
+    }
+}
+
+/// Values of `config` as a ROS 2 parameter file.
+pub fn to_yaml(config: &mut Config) -> String {
+    let mut text = "/**:\n  ros__parameters:\n".to_owned();
+    for parameter in PARAMETERS {
+        let value = parameter.get(config);
+        let quoted = match parameter.access {
+            Text(_) | Choice { .. } => format!("\"{value}\""),
+            _ => value,
+        };
+        text += &format!(
+            "    # {} ({})\n    {}: {quoted}\n",
+            parameter.description,
+            parameter.range(),
+            parameter.name
+        );
+    }
+    text
+}
+
+/// Values of `config` as `docs/parameters.md`.
+pub fn to_markdown(config: &mut Config) -> String {
+    let mut text = "\
+# Parameters
+
+Written by `veneer params --markdown`. Set them with `--param NAME:=VALUE` or in a ROS 2 parameter
+file with `--params-file FILE` (`veneer params --yaml` writes one with the defaults). An unknown name
+or a value outside its range is refused.
+
+| name | default | range | what it does |
+|---|---|---|---|
+"
+    .to_owned();
+    for parameter in PARAMETERS {
+        let value = parameter.get(config);
+        let shown = if value.is_empty() { "(empty)" } else { &value };
+        text += &format!(
+            "| `{}` | {shown} | {} | {} |\n",
+            parameter.name,
+            parameter.range().replace('|', "\\|"),
+            parameter.description
+        );
+    }
+    text
+}
+
+/// Values of `config` as a table for a terminal.
+pub fn to_table(config: &mut Config) -> String {
+    let mut text = String::new();
+    for parameter in PARAMETERS {
+        let value = parameter.get(config);
+        text += &format!(
+            "{} = {value}  ({})\n    {}\n",
+            parameter.name,
+            parameter.range(),
+            parameter.description
+        );
+    }
+    text
+}
+
+/// Values of `config` as a JSON object of strings.
+pub fn to_json(config: &mut Config) -> serde_json::Value {
+    let entries = PARAMETERS.iter().map(|parameter| {
+        let value = parameter.get(config);
+        (parameter.name.to_owned(), serde_json::Value::String(value))
+    });
+    serde_json::Value::Object(entries.collect())
+}

@@ -1,0 +1,70 @@
+//! Wall times of the stages of a run.
+
+use std::sync::Mutex;
+use std::time::Instant;
+
+use super::Progress;
+use super::run::StageTime;
+use crate::texinit::{Observer, Stage};
+
+/// Notes when each stage begins, and passes it on to whoever watches.
+pub(super) struct StageClock<'a> {
+    progress: &'a dyn Progress,
+    noted: Mutex<Noted>,
+}
+
+#[derive(Default)]
+struct Noted {
+    done: Vec<StageTime>,
+    running: Option<(&'static str, Instant)>,
+}
+
+impl Noted {
+    fn end(&mut self) {
+        if let Some((name, begun)) = self.running.take() {
+            let seconds = begun.elapsed().as_secs_f64();
+            self.done.push(StageTime { name, seconds });
+        }
+    }
+}
+
+impl<'a> StageClock<'a> {
+    pub(super) fn new(progress: &'a dyn Progress) -> Self {
+        Self {
+            progress,
+            noted: Mutex::default(),
+        }
+    }
+
+    pub(super) fn begin(&self, name: &'static str, num_steps: usize) {
+        if let Ok(mut noted) = self.noted.lock() {
+            noted.end();
+            noted.running = Some((name, Instant::now()));
+        }
+        self.progress.begin(name, num_steps as u64);
+    }
+
+    pub(super) fn advance(&self, num_steps: usize) {
+        self.progress.advance(num_steps as u64);
+    }
+
+    pub(super) fn finish(self) -> Vec<StageTime> {
+        match self.noted.into_inner() {
+            Ok(mut noted) => {
+                noted.end();
+                noted.done
+            }
+            Err(_) => Vec::new(),
+        }
+    }
+}
+
+impl Observer for StageClock<'_> {
+    fn begin(&self, stage: Stage, num_steps: usize) {
+        self.begin(stage.name(), num_steps);
+    }
+
+    fn advance(&self, num_steps: usize) {
+        self.advance(num_steps);
+    }
+}

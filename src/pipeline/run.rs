@@ -1,0 +1,226 @@
+//! One run, from the first event to the textured mesh.
+
+use std::sync::Arc;
+
+use super::clock::StageClock;
+use super::held_out::{self, HeldOutParams, HeldOutView};
+use super::progress::Progress;
+use crate::geom::Stamp;
+use crate::ingest::{Assembled, Assembler, EventSource, IngestParams, IngestReport};
+use crate::keyframe::{Keyframe, KeyframeParams, KeyframeReport, KeyframeStore};
+use crate::mesh::TriMesh;
+use crate::mesh::weld::{WeldError, weld};
+use crate::texinit::{TexInit, TexInitError, TexInitParams, texinit};
+
+/// Settings of a whole run.
+#[derive(Clone, Debug, Default)]
+pub struct PipelineParams {
+    /// From events to posed frames.
+    pub ingest: IngestParams,
+    /// Which frames are kept.
+    pub keyframe: KeyframeParams,
+    /// Vertices closer than this are one, metres; 0 joins those of equal position only.
+    pub weld_tolerance_m: f64,
+    /// From frames and mesh to a texture.
+    pub texinit: TexInitParams,
+    /// What is held back to judge the result.
+    pub held_out: HeldOutParams,
+}
+
+/// Why a run ended without a texture.
+#[derive(Debug, thiserror::Error)]
+pub enum PipelineError {
+    /// No mesh arrived, or what arrived has no triangle.
+    #[error("no mesh to paint: {0}")]
+    NoMesh(String),
+    /// No frame was kept.
+    #[error("no frame to paint from: {0}")]
+    NoKeyframe(String),
+    /// The mesh could not be welded.
+    #[error(transparent)]
+    Weld(#[from] WeldError),
+    /// The texture could not be made.
+    #[error(transparent)]
+    TexInit(#[from] TexInitError),
+}
+
+/// Wall time of a stage.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StageTime {
+    /// Its name for people.
+    pub name: &'static str,
+    /// Wall time in seconds.
+    pub seconds: f64,
+}
+
+/// What a run made.
+#[derive(Debug)]
+pub struct Run {
+    /// The mesh in the world frame, welded.
+    pub mesh: TriMesh,
+    /// The keyframes that painted; labels are indices into them, texel sources their ids.
+    pub keyframes: Vec<Arc<Keyframe>>,
+    /// The texture and how it came about.
+    pub texinit: TexInit,
+    /// Keyframes that were held back, beside the rendering.
+    pub held_out: Vec<HeldOutView>,
+    /// What ingest received, used and refused.
+    pub ingest: IngestReport,
+    /// What the keyframe store kept and dropped.
+    pub store: KeyframeReport,
+    /// From the first message to the last, in the time of the stream, seconds.
+    pub duration_s: f64,
+    /// How often the mesh changed.
+    pub num_mesh_updates: usize,
+    /// Vertices that welding merged into others.
+    pub num_welded_vertices: usize,
+    /// Wall times, in order.
+    pub stages: Vec<StageTime>,
+}
+
+/// Runs the whole pipeline over `source`.
+///
+/// # Errors
+/// [`PipelineError`] when the stream held no mesh or no usable frame, with what was refused and
+/// why; and when TexInit refuses its parameters. Single bad messages are no error: they are
+/// counted in [`Run::ingest`].
+pub fn run(
+    source: &mut dyn EventSource,
+    params: &PipelineParams,
+    progress: &dyn Progress,
+) -> Result<Run, PipelineError> {
+    let clock = StageClock::new(progress);
+
+    clock.begin("read and select frames", 0);
+    let gathered = gather(source, params, &clock);
+    let Gathered { store, ingest, .. } = &gathered;
+    let mesh = gathered
+        .mesh
+        .as_ref()
+        .filter(|mesh| mesh.num_triangles() > 0)
+        .ok_or_else(|| PipelineError::NoMesh(why_nothing(ingest, "mesh")))?;
+    let keyframes: Vec<_> = store.keyframes().cloned().collect();
+    if keyframes.is_empty() {
+        return Err(PipelineError::NoKeyframe(why_nothing(ingest, "frame")));
+    }
+
+    clock.begin("weld the mesh", 0);
+    let welded = weld(mesh, params.weld_tolerance_m)?;
+    let (painting, judging) = held_out::split(keyframes, &params.held_out);
+
+    let decode = |keyframe: &Keyframe| store.decode(keyframe);
+    let texinit = texinit(&welded.mesh, &painting, &decode, &params.texinit, &clock)?;
+
+    clock.begin("render held-out views", judging.len());
+    let held_out = held_out::render_views(
+        &judging,
+        &decode,
+        &welded.mesh,
+        &texinit.layout,
+        &texinit.texture,
+    );
+
+    Ok(Run {
+        mesh: welded.mesh,
+        keyframes: painting,
+        texinit,
+        held_out,
+        store: store.report().clone(),
+        ingest: gathered.ingest,
+        duration_s: gathered.duration_s,
+        num_mesh_updates: gathered.num_mesh_updates,
+        num_welded_vertices: welded.num_merged,
+        stages: clock.finish(),
+    })
+}
+
+struct Gathered {
+    store: KeyframeStore,
+    mesh: Option<Arc<TriMesh>>,
+    num_mesh_updates: usize,
+    duration_s: f64,
+    ingest: IngestReport,
+}
+
+/// Takes every event of the stream; the mesh that arrived last is the one that counts.
+fn gather(
+    source: &mut dyn EventSource,
+    params: &PipelineParams,
+    clock: &StageClock<'_>,
+) -> Gathered {
+    let mut assembler = Assembler::new(&params.ingest, source.topics());
+    let mut store = KeyframeStore::new(&params.keyframe);
+    let mut mesh = None;
+    let mut num_mesh_updates = 0;
+    let mut span: Option<(Stamp, Stamp)> = None;
+    let mut assembled = Vec::new();
+    loop {
+        let event = source.next_event();
+        let is_end = event.is_none();
+        match event {
+            Some(event) => {
+                let (first, last) = span.unwrap_or((event.received, event.received));
+                span = Some((first.min(event.received), last.max(event.received)));
+                assembler.push(event, &mut assembled);
+            }
+            None => assembler.finish(&mut assembled),
+        }
+        clock.advance(1);
+        for item in assembled.drain(..) {
+            match item {
+                // The store counts what it does with each frame.
+                Assembled::Frame(frame) => drop(store.offer(frame)),
+                Assembled::Mesh(update) => {
+                    mesh = Some(update);
+                    num_mesh_updates += 1;
+                }
+            }
+        }
+        if is_end {
+            break;
+        }
+    }
+    Gathered {
+        store,
+        mesh,
+        num_mesh_updates,
+        duration_s: span.map_or(0.0, |(first, last)| last.seconds_since(first)),
+        ingest: assembler.report().clone(),
+    }
+}
+
+/// Says what arrived and what was refused, for an error about what did not.
+fn why_nothing(ingest: &IngestReport, wanted: &str) -> String {
+    let refusals: Vec<String> = ingest
+        .topics
+        .iter()
+        .flat_map(|(topic, report)| {
+            report.refused_by_reason.iter().map(move |(reason, count)| {
+                let example = count
+                    .examples
+                    .first()
+                    .map_or(reason.as_str(), |e| e.as_str());
+                format!("{topic}: {} refused, as {example}", count.num)
+            })
+        })
+        .collect();
+    let received: Vec<String> = ingest
+        .topics
+        .iter()
+        .filter(|(_, report)| report.num_received > 0)
+        .map(|(topic, report)| format!("{} on {topic}", report.num_received))
+        .collect();
+    let received = if received.is_empty() {
+        "no message arrived on any topic that veneer reads".to_owned()
+    } else {
+        format!(
+            "no usable {wanted} among the messages received ({})",
+            received.join(", ")
+        )
+    };
+    if refusals.is_empty() {
+        received
+    } else {
+        format!("{received}; {}", refusals.join("; "))
+    }
+}

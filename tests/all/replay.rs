@@ -1,0 +1,105 @@
+//! The main job, through the command: every output there, valid, and the same on every run.
+
+use std::path::Path;
+
+use crate::command::{capture, small_tabletop, veneer_ok};
+
+fn replay(bag: &Path, out: &Path, extra: &[&str]) -> String {
+    let mut args = vec!["--quiet", "replay", bag.to_str().unwrap()];
+    args.extend(["--out", out.to_str().unwrap()]);
+    args.extend(extra);
+    veneer_ok(&args);
+    std::fs::read_to_string(out.join("hashes.txt")).unwrap()
+}
+
+fn report(out: &Path) -> serde_json::Value {
+    let text = std::fs::read_to_string(out.join("report.json")).unwrap();
+    serde_json::from_str(&text).unwrap()
+}
+
+#[test]
+fn every_output_is_written_and_hashed() {
+    let dir = tempfile::tempdir().unwrap();
+    let bag = small_tabletop(dir.path(), &[]);
+    let out = dir.path().join("out");
+    let hashes = replay(&bag, &out, &[]);
+    for name in [
+        "scan.glb",
+        "scan.obj",
+        "scan.mtl",
+        "scan.ply",
+        "atlas/page_0.png",
+        "provenance/page_0_source.png",
+        "provenance/page_0_confidence.png",
+    ] {
+        assert!(out.join(name).is_file(), "{name} is missing");
+        assert!(hashes.contains(name), "{name} is not hashed");
+    }
+    let html = std::fs::read_to_string(out.join("report.html")).unwrap();
+    assert!(html.contains("</html>"));
+}
+
+#[test]
+fn runs_and_thread_counts_give_the_same_bytes() {
+    let dir = tempfile::tempdir().unwrap();
+    let bag = small_tabletop(dir.path(), &["--grow", "3"]);
+    let reference = replay(&bag, &dir.path().join("1"), &["--threads", "1"]);
+    assert!(reference.lines().count() > 6);
+    for (name, threads) in [("1b", "1"), ("2", "2"), ("4", "4")] {
+        let hashes = replay(&bag, &dir.path().join(name), &["--threads", threads]);
+        assert_eq!(hashes, reference, "{threads} threads");
+    }
+}
+
+#[test]
+fn a_growing_mesh_ends_as_the_whole_one() {
+    let dir = tempfile::tempdir().unwrap();
+    let bag = small_tabletop(dir.path(), &["--grow", "4"]);
+    let out = dir.path().join("out");
+    replay(&bag, &out, &[]);
+    let growing = report(&out)["mesh"]["num_triangles"].as_u64().unwrap();
+    let bag = small_tabletop(dir.path(), &[]);
+    replay(&bag, &out, &[]);
+    let whole = report(&out)["mesh"]["num_triangles"].as_u64().unwrap();
+    assert_eq!(growing, whole);
+}
+
+/// The strongest oracle: the scene's true texture. Without noise, what was seen is right.
+#[test]
+fn a_noise_free_room_is_painted_with_its_true_colours() {
+    let dir = tempfile::tempdir().unwrap();
+    let bag = dir.path().join("room.mcap");
+    let path = bag.to_str().unwrap();
+    let size = ["--width", "320", "--height", "240", "--frames", "40"];
+    let mut args = vec!["--quiet", "synth", "room", "-o", path];
+    args.extend(size);
+    veneer_ok(&args);
+    let out = dir.path().join("out");
+    replay(&bag, &out, &[]);
+    let report = report(&out);
+    let error = report["synthetic"]["mean_abs_error_255"].as_f64().unwrap();
+    assert!(error < 3.0, "mean absolute colour error {error}/255");
+    assert!(report["synthetic"]["num_texels"].as_u64().unwrap() > 100_000);
+}
+
+#[test]
+fn real_captures_are_textured() {
+    for (name, min_seen_share) in [("charuco_lidar", 0.9), ("apt0_structure", 0.9)] {
+        let Some(source) = capture(name) else {
+            continue;
+        };
+        let dir = tempfile::tempdir().unwrap();
+        let bag = dir.path().join("scan.mcap");
+        let (source, bag_path) = (source.to_str().unwrap(), bag.to_str().unwrap());
+        veneer_ok(&["--quiet", "import", "capture", source, "-o", bag_path]);
+        let out = dir.path().join("out");
+        replay(&bag, &out, &[]);
+        let report = report(&out);
+        let seen = report["coverage"]["seen_area_share"].as_f64().unwrap();
+        assert!(
+            seen > min_seen_share,
+            "{name}: only {seen} of the surface was painted"
+        );
+        assert_eq!(report["atlas"]["num_shared_texels"], 0, "{name}");
+    }
+}
