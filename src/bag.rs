@@ -8,6 +8,7 @@ mod chunk;
 pub mod error;
 mod index;
 pub mod info;
+mod mapped;
 mod peek;
 pub mod reader;
 mod record;
@@ -17,7 +18,8 @@ pub mod writer;
 
 pub use error::BagError;
 pub use info::BagInfo;
-pub use reader::{BagReader, metadata};
+pub use mapped::metadata;
+pub use reader::BagReader;
 pub use roles::{MissingRole, PoseSource, TopicAssignment, TopicPlan, TopicRoles};
 pub use writer::{BagSummary, BagWriter, ChannelId, Compression};
 

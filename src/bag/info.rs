@@ -15,7 +15,8 @@ use crate::wire::TopicRole;
 
 use super::chunk;
 use super::error::BagError;
-use super::reader::{BagReader, MappedBag};
+use super::mapped::MappedBag;
+use super::reader::BagReader;
 use super::record::{MessageHeader, op};
 use super::roles::{MissingRole, PoseSource, TopicRoles, Topics};
 
@@ -112,7 +113,7 @@ impl BagInfo {
         missing.extend(refused_wholly(&topics));
         Ok(Self {
             path: path.to_owned(),
-            num_bytes: bag.map.len() as u64,
+            num_bytes: bag.num_bytes as u64,
             has_summary: bag.index.has_summary,
             start_s: start as f64 * 1e-9,
             duration_s: (end - start) as f64 * 1e-9,
@@ -130,7 +131,11 @@ fn log_times(bag: &MappedBag) -> BTreeMap<&str, Vec<u64>> {
     let mut by_channel: BTreeMap<u16, Vec<u64>> = BTreeMap::new();
     let mut workspace = Vec::new();
     for segment in &bag.index.segments {
-        let data = chunk::unpack(&bag.map, &segment.place, &mut workspace);
+        // What cannot be read is among the losses of the reader.
+        let Ok(stretch) = bag.map(&segment.place) else {
+            continue;
+        };
+        let data = chunk::unpack(&stretch, &segment.place, &mut workspace);
         for record in data.records().filter(|r| r.opcode == op::MESSAGE) {
             if let Some(message) = MessageHeader::parse(&data.bytes[record.body]) {
                 let times = by_channel.entry(message.channel_id).or_default();

@@ -6,11 +6,13 @@
 )]
 #![expect(
     clippy::print_stdout,
+    clippy::print_stderr,
     reason = "a test whose oracle cannot be reached says SKIPPED"
 )]
 
 mod architecture;
 mod bad_input;
+mod bag_interop;
 mod command;
 mod export;
 mod python;
