@@ -19,3 +19,4 @@ mod python;
 mod replay;
 mod report;
 mod textured_room;
+mod import;
