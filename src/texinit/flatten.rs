@@ -8,8 +8,8 @@
 //!   ([`charts`]); a flattening that is flipped or distorted past the bounds is slit to where it
 //!   shrinks most, and where that does not help split, and tried again. Single triangles that are
 //!   flipped or crushed in a good flattening become charts of their own. [`ChartMode::Paper`]: one chart per connected component; closed surfaces and handles
-//!   are cut along shortest paths (no cones: a closed component is strongly distorted), and only
-//!   what cannot be solved is halved.
+//!   are cut along shortest paths (no cones yet: a closed component is strongly distorted), and
+//!   only what cannot be solved is split; flipped triangles become charts of their own.
 //! - Holes inside a chart are filled for the solve only ([`cut`]).
 //! - Triangles that name a position twice join the chart of a neighbour along their one edge, with
 //!   that edge's flat ends, else they are charts of their own.
@@ -176,7 +176,7 @@ impl FlattenParams {
 /// A connected set of triangles and where they lie in the plane.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FlatChart {
-    /// Its triangles, ascending.
+    /// Its triangles, ascending, collapsed ones last.
     pub triangles: Vec<TriangleId>,
     /// Per triangle of `triangles`, its corners in the mesh's corner order, metres, y up.
     pub corners_m: Vec<[[f64; 2]; 3]>,

@@ -3,7 +3,7 @@
 use super::bff::{BffError, FlatDisk, flatten_disk};
 use super::cut::{Disk, make_disk, slit};
 use super::distortion::{Stretch, stretch, summarize};
-use super::judge::{Rejected, is_crushed, judge, scale_to_area};
+use super::judge::{Rejected, judge, must_leave, scale_to_area};
 use super::piece::Piece;
 use super::split::{around_blamed, halves};
 use super::{FlatChart, FlattenParams};
@@ -16,6 +16,9 @@ const MAX_SPLIT_DEPTH: u32 = 16;
 
 /// A piece gets one slit, and one more for each so many triangles.
 const TRIANGLES_PER_SLIT: usize = 60;
+
+/// But not more than this: each slit is another factorisation.
+const MAX_SLITS: usize = 20;
 
 /// What happened on the way, summed over charts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -77,7 +80,15 @@ pub(crate) fn flatten_piece(
                 counts.num_filled_holes += flat.num_filled_holes;
                 counts.num_cut_edges += flat.num_cut_edges;
                 counts.num_slits += flat.num_slits;
-                emit(&piece, &surface, flat, manifold, &mut charts, &mut counts);
+                emit(
+                    &piece,
+                    &surface,
+                    flat,
+                    manifold,
+                    params,
+                    &mut charts,
+                    &mut counts,
+                );
                 continue;
             }
             Err(rejected) => rejected,
@@ -130,7 +141,7 @@ fn try_flatten(
         });
     }
     let mut disk = make_disk(surface.to_vec(), piece.mates.clone()).ok_or(Rejected::NotADisk)?;
-    let max_slits = 1 + piece.len() / TRIANGLES_PER_SLIT;
+    let max_slits = (1 + piece.len() / TRIANGLES_PER_SLIT).min(MAX_SLITS);
     let mut num_slits = 0;
     loop {
         let flat = flatten_disk(&disk).map_err(|error| {
@@ -181,13 +192,14 @@ fn log_failure(piece: &Piece, error: &BffError) {
     tracing::debug!(num_triangles = piece.len(), %error, "chart not flattened");
 }
 
-/// Appends the flattened piece as charts; flipped or crushed triangles leave it for charts of their own, and
-/// what they held together falls into connected charts.
+/// Appends the flattened piece as charts; flipped or crushed triangles leave it for charts of their
+/// own, and what they held together falls into connected charts.
 fn emit(
     piece: &Piece,
     surface: &[[Point3<f64>; 3]],
     flat: Flat,
     manifold: &Manifold,
+    params: &FlattenParams,
     charts: &mut Vec<FlatChart>,
     counts: &mut SolveCounts,
 ) {
@@ -195,7 +207,7 @@ fn emit(
         .corners_m
         .iter()
         .zip(&flat.stretches)
-        .map(|(corners, stretch)| is_crushed(corners, stretch.as_ref()))
+        .map(|(corners, stretch)| must_leave(corners, stretch.as_ref(), params.mode))
         .collect();
     let (part, num_parts) =
         components_within(&piece.mates, |a, b| !is_ejected[a] && !is_ejected[b]);

@@ -98,9 +98,15 @@ fn past_tail<'a>(ratios: impl Iterator<Item = &'a (f64, f64)>, area: f64) -> f64
     1.0
 }
 
-/// Whether a triangle is flipped or crushed, so that it must leave its chart.
-pub(crate) fn is_crushed(corners_m: &[[f64; 2]; 3], stretch: Option<&Stretch>) -> bool {
+/// Whether a triangle is flipped, or crushed (which a whole component is not judged by), so that
+/// it must leave its chart.
+pub(crate) fn must_leave(
+    corners_m: &[[f64; 2]; 3],
+    stretch: Option<&Stretch>,
+    mode: ChartMode,
+) -> bool {
     match stretch {
+        Some(s) if mode == ChartMode::Paper => s.area_ratio <= 0.0,
         Some(s) => s.area_ratio < MIN_AREA_RATIO || s.quasi_conformal > MAX_KEPT_DILATATION,
         None => doubled_area(corners_m) < 0.0,
     }

@@ -486,6 +486,42 @@ proptest! {
     }
 }
 
+/// A plane with a steep bump in its middle: whole, the bump's top would shrink past the bound.
+#[test]
+fn a_bump_is_slit_not_split() {
+    let side = 25;
+    let bumpy = grid(side, side, false, |i, j| {
+        let [x, y] = [i, j].map(|i| f64::from(i) / 12.0 - 1.0);
+        [x, y, 1.5 * (-14.0 * (x * x + y * y)).exp()]
+    });
+    let params = FlattenParams {
+        max_normal_deviation_rad: FRAC_PI_2,
+        num_smoothing_rounds: 60,
+        max_chart_triangles: 5000,
+        ..Default::default()
+    };
+    let result = flatten(&bumpy, &params).unwrap();
+    check_each_triangle_once(&bumpy, &result.charts);
+    check_connected(&bumpy, &result.charts);
+    assert_eq!(result.charts.len(), 1);
+    assert!(result.report.solve.num_slits > 0);
+    let distortion = result.charts[0].distortion;
+    assert!(distortion.area_ratio_min > 0.1, "{distortion:?}");
+}
+
+fn check_connected(mesh: &TriMesh, charts: &[FlatChart]) {
+    let manifold = Manifold::new(mesh).unwrap();
+    let mut label = vec![u32::MAX; mesh.num_triangles()];
+    for (c, chart) in (0_u32..).zip(charts) {
+        for triangle in &chart.triangles {
+            label[triangle.index()] = c;
+        }
+    }
+    let (_, num_parts) =
+        crate::mesh::components::components_within(manifold.mates(), |a, b| label[a] == label[b]);
+    assert_eq!(num_parts as usize, charts.len());
+}
+
 #[test]
 fn any_number_of_threads_gives_the_same_charts() {
     let surface = cap(40, 2.5, 0.01);
@@ -538,6 +574,7 @@ fn check_capture(name: &str) {
     };
     let result = flatten(&surface, &FlattenParams::default()).unwrap();
     check_each_triangle_once(&surface, &result.charts);
+    check_connected(&surface, &result.charts);
     let report = &result.report;
     eprintln!(
         "{name}: {} charts, {:.1} triangles each\n{report:#?}",
