@@ -21,7 +21,7 @@ pub const fn next(half_edge: u32) -> u32 {
 
 /// The previous half-edge in the same triangle.
 pub const fn previous(half_edge: u32) -> u32 {
-    if half_edge % 3 == 0 {
+    if half_edge.is_multiple_of(3) {
         half_edge + 2
     } else {
         half_edge - 1
@@ -145,15 +145,15 @@ pub fn vertices_of_corners(mates: &[u32]) -> (Vec<[u32; 3]>, u32) {
                 break at == corner;
             }
         };
-        let mut at = corner;
-        while !closes {
-            let across = mates[at as usize];
-            if across == NO_HALF_EDGE {
-                break;
-            }
-            at = next(across);
-            let (t, k) = slot(at);
+        let mut across = if closes {
+            NO_HALF_EDGE
+        } else {
+            mates[corner as usize]
+        };
+        while across != NO_HALF_EDGE {
+            let (t, k) = slot(next(across));
             vertex_of_corner[t][k] = num_vertices;
+            across = mates[next(across) as usize];
         }
         num_vertices += 1;
     }

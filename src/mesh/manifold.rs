@@ -200,7 +200,6 @@ fn pair_flattest(mesh: &TriMesh, welded: &[[u32; 3]], edge: &[u32], mates: &mut 
     if edge.len() > MAX_PAIRED_FACES {
         return;
     }
-    #[expect(clippy::cast_possible_truncation, reason = "a triangle index")]
     let normal = |h: u32| {
         mesh.scaled_normal(TriangleId(h / 3))
             .try_normalize(0.0)

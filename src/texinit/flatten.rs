@@ -5,8 +5,9 @@
 //!
 //! - Vertices of equal position count as one; [`crate::mesh::Manifold`] makes the soup manifold.
 //! - [`ChartMode::Streaming`]: charts of bounded normal deviation, size and roughness
-//!   ([`charts`]); a flattening that is flipped or distorted past the bounds is halved and tried
-//!   again. [`ChartMode::Paper`]: one chart per connected component; closed surfaces and handles
+//!   ([`charts`]); a flattening that is flipped or distorted past the bounds is slit to where it
+//!   shrinks most, and where that does not help split, and tried again. Single triangles that are
+//!   flipped or crushed in a good flattening become charts of their own. [`ChartMode::Paper`]: one chart per connected component; closed surfaces and handles
 //!   are cut along shortest paths (no cones: a closed component is strongly distorted), and only
 //!   what cannot be solved is halved.
 //! - Holes inside a chart are filled for the solve only ([`cut`]).
@@ -27,10 +28,12 @@ pub(crate) mod charts;
 pub(crate) mod cut;
 pub(crate) mod distortion;
 pub(crate) mod faces;
+pub(crate) mod judge;
 pub(crate) mod laplacian;
 pub(crate) mod merge;
 pub(crate) mod piece;
 pub(crate) mod solver;
+pub(crate) mod split;
 
 #[cfg(test)]
 mod tests;
@@ -82,7 +85,7 @@ pub struct FlattenParams {
     /// area apart), ≥ 1.
     pub max_stretch: f64,
     /// Largest share of a chart's area that may be flipped triangles, [0, 1]; up to it they leave
-    /// the chart, beyond it the chart is halved.
+    /// the chart, beyond it the chart is slit or split.
     pub max_flipped_share: f64,
 }
 

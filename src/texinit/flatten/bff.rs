@@ -37,28 +37,53 @@ pub(crate) enum BffError {
     NotFinite,
 }
 
-/// The plane position of each vertex of `disk`, metres.
-pub(crate) fn flatten_disk(disk: &Disk) -> Result<Vec<[f64; 2]>, BffError> {
+/// A flattened disk.
+pub(crate) struct FlatDisk {
+    /// Per vertex its place in the plane, metres.
+    pub(crate) points_m: Vec<[f64; 2]>,
+    /// The interior vertex whose surroundings shrink most, if any shrink: the one of least u.
+    pub(crate) most_shrunk_vertex: Option<usize>,
+}
+
+/// Flattens a disk.
+pub(crate) fn flatten_disk(disk: &Disk) -> Result<FlatDisk, BffError> {
     let metric = Metric::new(disk).ok_or(BffError::NoMetric)?;
     let numbering = Numbering::new(disk);
     let curvature = Curvature::new(disk, &metric, &numbering);
     let lengths = boundary_lengths(disk, &metric);
     let num_interior = numbering.num_interior;
 
+    let mut most_shrunk = None;
     let flat = if num_interior == 0 {
         closed_curve(&lengths, &curvature.boundary)?
     } else {
         let weights = numbering.renumber(edge_weights(disk, &metric));
         let solver = Solver::new(num_interior, disk.num_vertices, weights)?;
-        let target = dirichlet_to_neumann(&solver, &curvature);
+        let (target, scale) = dirichlet_to_neumann(&solver, &curvature);
+        most_shrunk = place_of_least(&scale[..num_interior]);
         let curve = closed_curve(&lengths, &target)?;
         extend(&solver, num_interior, &curve)
     };
     if !flat.iter().flatten().all(|c| c.is_finite()) {
         return Err(BffError::NotFinite);
     }
-    let place = |v: usize| flat[numbering.place[v] as usize].map(|c| c * metric.unit_m);
-    Ok((0..disk.num_vertices).map(place).collect())
+    let point = |place: &u32| flat[*place as usize].map(|c| c * metric.unit_m);
+    Ok(FlatDisk {
+        points_m: numbering.place.iter().map(point).collect(),
+        most_shrunk_vertex: most_shrunk
+            .and_then(|place| numbering.place.iter().position(|p| *p as usize == place)),
+    })
+}
+
+/// Where the least of the negative values is.
+fn place_of_least(values: &[f64]) -> Option<usize> {
+    let mut least = None;
+    for (place, &value) in values.iter().enumerate() {
+        if value < least.map_or(0.0, |(_, best)| best) {
+            least = Some((place, value));
+        }
+    }
+    least.map(|(place, _)| place)
 }
 
 /// Interior vertices first, then the boundary in loop order.
@@ -79,10 +104,9 @@ impl Numbering {
             let vertex = disk.vertices[h as usize / 3][h as usize % 3];
             place[vertex as usize] = (num_interior + i) as u32;
         }
-        let mut count = 0;
-        for slot in place.iter_mut().filter(|slot| **slot == u32::MAX) {
+        let interior = place.iter_mut().filter(|slot| **slot == u32::MAX);
+        for (slot, count) in interior.zip(0_u32..) {
             *slot = count;
-            count += 1;
         }
         Self {
             num_interior,
@@ -127,17 +151,18 @@ fn boundary_lengths(disk: &Disk, metric: &Metric) -> Vec<f64> {
     disk.boundary.iter().map(length).collect()
 }
 
-/// Target curvatures of the boundary when its scale factors are zero.
-fn dirichlet_to_neumann(solver: &Solver, curvature: &Curvature) -> Vec<f64> {
+/// Target curvatures of the boundary when its scale factors are zero, and the scale factors.
+fn dirichlet_to_neumann(solver: &Solver, curvature: &Curvature) -> (Vec<f64>, Vec<f64>) {
     let source: Vec<f64> = curvature.interior.iter().map(|defect| -defect).collect();
     let scale = solver.dirichlet(&source, &vec![0.0; curvature.boundary.len()]);
     let flux = solver.apply(&scale);
-    curvature
+    let target = curvature
         .boundary
         .iter()
         .zip(&flux[curvature.interior.len()..])
         .map(|(k, flux)| k + flux)
-        .collect()
+        .collect();
+    (target, scale)
 }
 
 /// Start points of the edges of a closed curve with the given exterior angles and, nearly, the

@@ -148,10 +148,11 @@ impl<'a> Growth<'a> {
 
     fn offer(&mut self, triangle: u32, chart: u32) {
         let index = triangle as usize;
-        if self.is_open[index] && self.label[index] == UNASSIGNED {
-            if let Some(cost) = self.cost(index, &self.proxies[chart as usize]) {
-                self.heap.push(Reverse((cost, triangle, chart)));
-            }
+        if self.is_open[index]
+            && self.label[index] == UNASSIGNED
+            && let Some(cost) = self.cost(index, &self.proxies[chart as usize])
+        {
+            self.heap.push(Reverse((cost, triangle, chart)));
         }
     }
 
@@ -231,10 +232,10 @@ impl<'a> Growth<'a> {
             .collect();
         let mut nearest = vec![(u64::MAX, UNASSIGNED); proxies.len()];
         for (triangle, &chart) in (0_u32..).zip(&self.label) {
-            if let Some(proxy) = proxies.get(chart as usize) {
-                if let Some(cost) = self.cost(triangle as usize, proxy) {
-                    nearest[chart as usize] = nearest[chart as usize].min((cost, triangle));
-                }
+            if let Some(proxy) = proxies.get(chart as usize)
+                && let Some(cost) = self.cost(triangle as usize, proxy)
+            {
+                nearest[chart as usize] = nearest[chart as usize].min((cost, triangle));
             }
         }
         let kept: Vec<usize> = (0..proxies.len())

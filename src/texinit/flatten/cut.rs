@@ -59,6 +59,42 @@ pub(crate) fn make_disk(mut corners_m: Vec<[Point3<f64>; 3]>, mut mates: Vec<u32
     })
 }
 
+/// The disk slit open along the shortest path from an interior vertex to its boundary.
+pub(crate) fn slit(disk: &Disk, vertex: usize) -> Option<Disk> {
+    let graph = VertexGraph::new(
+        &disk.corners_m,
+        &disk.mates,
+        &disk.vertices,
+        disk.num_vertices,
+    );
+    let roots: Vec<usize> = disk
+        .boundary
+        .iter()
+        .map(|&h| disk.vertices[h as usize / 3][h as usize % 3] as usize)
+        .collect();
+    let mut is_cut = vec![false; disk.mates.len()];
+    graph
+        .shortest_paths(&roots)
+        .mark_path(&graph, vertex, &mut is_cut);
+    let mut mates = disk.mates.clone();
+    let num_cut_edges = disk.num_cut_edges + separate(&mut mates, &is_cut);
+    let (vertices, num_vertices) = vertices_of_corners(&mates);
+    let mut loops = boundary_loops(&mates);
+    if loops.len() != 1 || num_cut_edges == disk.num_cut_edges {
+        return None;
+    }
+    Some(Disk {
+        num_real: disk.num_real,
+        corners_m: disk.corners_m.clone(),
+        mates,
+        vertices,
+        num_vertices: num_vertices as usize,
+        boundary: loops.pop()?,
+        num_filled_holes: disk.num_filled_holes,
+        num_cut_edges,
+    })
+}
+
 /// V − E + F.
 pub(crate) fn euler_characteristic(num_vertices: u32, mates: &[u32]) -> i64 {
     let count = |n: usize| i64::try_from(n).unwrap_or(i64::MAX);
@@ -176,6 +212,11 @@ fn cut(
         let slit = graph.shortest_paths(&[far]);
         slit.mark_path(&graph, slit.farthest(), &mut is_cut);
     }
+    separate(mates, &is_cut)
+}
+
+/// Parts the marked half-edges from their mates; returns how many edges that were.
+fn separate(mates: &mut [u32], is_cut: &[bool]) -> usize {
     let mut num_cut = 0;
     for h in 0..mates.len() {
         if is_cut[h] && mates[h] != NO_HALF_EDGE {

@@ -5,6 +5,9 @@ use nalgebra::Point3;
 /// Triangles thinner than this (area over squared perimeter) have no meaningful shape to compare.
 const MIN_THICKNESS: f64 = 1e-9;
 
+/// What a triangle that is flattened to a line counts as.
+const MAX_QUASI_CONFORMAL: f64 = 1e6;
+
 /// Stretch of one chart. Means are weighted by area on the surface; triangles of no area are left
 /// out; a chart of such triangles alone has all ones.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -62,11 +65,7 @@ pub(crate) fn stretch(corners_m: &[Point3<f64>; 3], flat_m: &[[f64; 2]; 3]) -> O
     let (larger, smaller) = (rigid + mirrored, (rigid - mirrored).abs());
     Some(Stretch {
         area_m2,
-        quasi_conformal: if smaller > 0.0 {
-            larger / smaller
-        } else {
-            f64::MAX
-        },
+        quasi_conformal: (larger / smaller).min(MAX_QUASI_CONFORMAL),
         area_ratio: first[0] * second[1] - first[1] * second[0],
     })
 }

@@ -13,6 +13,10 @@ use crate::mesh::adjacency::NO_HALF_EDGE;
 /// Least share of the smaller perimeter that a common border must have.
 const MIN_COMMON_BORDER: f64 = 0.12;
 
+/// Cosine of the largest angle between a tiny chart's normals and those of the chart it joins; how
+/// well it then flattens is for the flattening to say.
+const MIN_COS_TINY: f64 = 0.0;
+
 /// Mean unit normal of each chart; zero where there is none.
 pub(crate) fn mean_normals(faces: &Faces, label: &[u32]) -> Vec<Vector3<f64>> {
     let num_charts = label
@@ -144,30 +148,34 @@ fn candidate(charts: &[Chart], a: u32, b: u32) -> Option<Candidate> {
 }
 
 fn may_merge(faces: &Faces, params: &FlattenParams, charts: &[Chart], a: u32, b: u32) -> bool {
-    let [first, second] = [a, b].map(|c| &charts[c as usize]);
-    let num_triangles = first.triangles.len() + second.triangles.len();
-    if num_triangles > params.max_chart_triangles {
-        return false;
-    }
-    let common = first.borders_m.get(&b).copied().unwrap_or(0.0);
-    let is_tiny = first.triangles.len().min(second.triangles.len()) < params.min_chart_triangles;
-    if !is_tiny {
-        let perimeter = first.perimeter_m + second.perimeter_m - 2.0 * common;
-        let area = first.area_m2 + second.area_m2;
-        let roughness = perimeter * perimeter / (4.0 * std::f64::consts::PI * area);
-        let share = common / first.perimeter_m.min(second.perimeter_m);
-        if roughness > params.max_boundary_roughness || share < MIN_COMMON_BORDER {
-            return false;
-        }
-    }
-    let Some(normal) = (first.normal_sum + second.normal_sum).try_normalize(0.0) else {
-        return is_tiny;
+    let mut pair = [a, b].map(|c| &charts[c as usize]);
+    pair.sort_by_key(|chart| chart.triangles.len());
+    let [small, large] = pair;
+    let normal = (small.normal_sum + large.normal_sum)
+        .try_normalize(0.0)
+        .unwrap_or_default();
+    let is_within = |chart: &Chart, min_cos: f64| {
+        chart.triangles.iter().all(|&t| {
+            let own = faces.normals[t as usize];
+            own.dot(&normal) >= min_cos || own == Vector3::zeros()
+        })
     };
+    let num_triangles = small.triangles.len() + large.triangles.len();
+    if small.triangles.len() < params.min_chart_triangles {
+        return num_triangles <= params.max_chart_triangles + params.min_chart_triangles
+            && is_within(small, MIN_COS_TINY);
+    }
+    let common = charts[a as usize].borders_m.get(&b).copied().unwrap_or(0.0);
+    let perimeter = small.perimeter_m + large.perimeter_m - 2.0 * common;
+    let area = small.area_m2 + large.area_m2;
+    let roughness = perimeter * perimeter / (4.0 * std::f64::consts::PI * area);
+    let share = common / small.perimeter_m.min(large.perimeter_m);
     let min_cos = params.max_normal_deviation_rad.cos();
-    first.triangles.iter().chain(&second.triangles).all(|&t| {
-        let own = faces.normals[t as usize];
-        own.dot(&normal) >= min_cos || own == Vector3::zeros()
-    })
+    num_triangles <= params.max_chart_triangles
+        && roughness <= params.max_boundary_roughness
+        && share >= MIN_COMMON_BORDER
+        && is_within(small, min_cos)
+        && is_within(large, min_cos)
 }
 
 fn absorb(charts: &mut [Chart], kept: u32, gone: u32) {

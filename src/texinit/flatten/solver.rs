@@ -43,14 +43,11 @@ pub(crate) struct Solver {
 
 enum Factor {
     Shared {
+        /// Row of each vertex.
         place: Vec<u32>,
-        symbolic: SymbolicCholesky<u32>,
-        values: Vec<f64>,
+        whole: Box<Cholesky>,
     },
-    Separate {
-        interior: Cholesky,
-        pinned: Cholesky,
-    },
+    Separate(Box<[Cholesky; 2]>),
 }
 
 impl Solver {
@@ -71,12 +68,10 @@ impl Solver {
             place.extend((0_u32..).take(num_vertices).skip(num_interior));
             let matrix = UpperMatrix::new(&diagonal, &weights, &place, num_pinned);
             let ordering = SymmetricOrdering::Identity;
-            let Cholesky { symbolic, values } =
-                Cholesky::new(&matrix, ordering, SupernodalThreshold::FORCE_SIMPLICIAL)?;
+            let whole = Cholesky::new(&matrix, ordering, SupernodalThreshold::FORCE_SIMPLICIAL)?;
             Factor::Shared {
                 place,
-                symbolic,
-                values,
+                whole: Box::new(whole),
             }
         } else {
             let place: Vec<u32> = (0_u32..).take(num_vertices).collect();
@@ -84,10 +79,7 @@ impl Solver {
                 let matrix = UpperMatrix::new(&diagonal, &weights, &place, size);
                 Cholesky::new(&matrix, SymmetricOrdering::Amd, SupernodalThreshold::AUTO)
             };
-            Factor::Separate {
-                interior: factor(num_interior)?,
-                pinned: factor(num_pinned)?,
-            }
+            Factor::Separate(Box::new([factor(num_interior)?, factor(num_pinned)?]))
         };
         Ok(Self {
             num_interior,
@@ -116,15 +108,11 @@ impl Solver {
             x[i] = source[i] - known[i];
         }
         match &self.factor {
-            Factor::Shared {
-                place,
-                symbolic,
-                values,
-            } => {
+            Factor::Shared { place, whole } => {
                 let interior = &mut x[..self.num_interior];
-                solve_leading(symbolic, values, &place[..self.num_interior], interior);
+                whole.solve_leading(&place[..self.num_interior], interior);
             }
-            Factor::Separate { interior, .. } => interior.solve(&mut x[..self.num_interior]),
+            Factor::Separate(factors) => factors[0].solve(&mut x[..self.num_interior]),
         }
         x
     }
@@ -136,56 +124,11 @@ impl Solver {
             return x;
         };
         match &self.factor {
-            Factor::Shared {
-                place,
-                symbolic,
-                values,
-            } => solve_leading(symbolic, values, &place[..free.len()], free),
-            Factor::Separate { pinned, .. } => pinned.solve(free),
+            Factor::Shared { place, whole } => whole.solve_leading(&place[..free.len()], free),
+            Factor::Separate(factors) => factors[1].solve(free),
         }
         *last = 0.0;
         x
-    }
-}
-
-/// L Lᵀ x = x on the leading rows and columns that `place` (row per unknown) covers.
-fn solve_leading(symbolic: &SymbolicCholesky<u32>, values: &[f64], place: &[u32], x: &mut [f64]) {
-    let SymbolicCholeskyRaw::Simplicial(pattern) = symbolic.raw() else {
-        unreachable!("factored with FORCE_SIMPLICIAL")
-    };
-    let (starts, rows) = (pattern.col_ptr(), pattern.row_idx());
-    let size = place.len();
-    let mut y = vec![0.0; size];
-    for (&row, value) in place.iter().zip(x.iter()) {
-        y[row as usize] = *value;
-    }
-    let column = |j: usize| {
-        let range = starts[j] as usize..starts[j + 1] as usize;
-        let below = rows[range.clone()]
-            .iter()
-            .zip(&values[range.clone()])
-            .skip(1);
-        let leading = below.take_while(move |(row, _)| (**row as usize) < size);
-        (values[range.start], leading)
-    };
-    for j in 0..size {
-        let (pivot, below) = column(j);
-        y[j] /= pivot;
-        let solved = y[j];
-        for (&row, &value) in below {
-            y[row as usize] -= value * solved;
-        }
-    }
-    for j in (0..size).rev() {
-        let (pivot, below) = column(j);
-        let mut rest = y[j];
-        for (&row, &value) in below {
-            rest -= value * y[row as usize];
-        }
-        y[j] = rest / pivot;
-    }
-    for (&row, value) in place.iter().zip(x) {
-        *value = y[row as usize];
     }
 }
 
@@ -300,6 +243,48 @@ impl Cholesky {
             )
             .map_err(|_| SolverError::NotPositiveDefinite { num_vertices })?;
         Ok(Self { symbolic, values })
+    }
+
+    /// L Lᵀ x = x on the leading rows and columns that `place` (row per unknown) covers.
+    fn solve_leading(&self, place: &[u32], x: &mut [f64]) {
+        let values = &self.values;
+        let SymbolicCholeskyRaw::Simplicial(pattern) = self.symbolic.raw() else {
+            unreachable!("factored with FORCE_SIMPLICIAL")
+        };
+        let (starts, rows) = (pattern.col_ptr(), pattern.row_idx());
+        let size = place.len();
+        let mut y = vec![0.0; size];
+        for (&row, value) in place.iter().zip(x.iter()) {
+            y[row as usize] = *value;
+        }
+        let column = |j: usize| {
+            let range = starts[j] as usize..starts[j + 1] as usize;
+            let below = rows[range.clone()]
+                .iter()
+                .zip(&values[range.clone()])
+                .skip(1);
+            let leading = below.take_while(move |(row, _)| (**row as usize) < size);
+            (values[range.start], leading)
+        };
+        for j in 0..size {
+            let (pivot, below) = column(j);
+            y[j] /= pivot;
+            let solved = y[j];
+            for (&row, &value) in below {
+                y[row as usize] -= value * solved;
+            }
+        }
+        for j in (0..size).rev() {
+            let (pivot, below) = column(j);
+            let mut rest = y[j];
+            for (&row, &value) in below {
+                rest -= value * y[row as usize];
+            }
+            y[j] = rest / pivot;
+        }
+        for (&row, value) in place.iter().zip(x) {
+            *value = y[row as usize];
+        }
     }
 
     fn solve(&self, x: &mut [f64]) {

@@ -57,7 +57,7 @@ fn noisy_plane(side: u32) -> TriMesh {
     let pitch = 1.0 / f64::from(side - 1);
     grid(side, side, false, |i, j| {
         let is_inner = i > 0 && j > 0 && i < side - 1 && j < side - 1;
-        let shift = if is_inner { 0.3 * pitch } else { 0.0 };
+        let shift = if is_inner { 0.2 * pitch } else { 0.0 };
         let x = f64::from(i) * pitch + shift * noise(i * 977 + j);
         let y = f64::from(j) * pitch + shift * noise(i * 977 + j + 5_000_000);
         [x + 3.0, 0.6 * y - 1.0, 0.8 * y]
@@ -181,7 +181,7 @@ fn a_small_hole_in_a_plane_is_no_seam() {
         .triangles()
         .iter()
         .enumerate()
-        .filter(|(t, _)| !(300..310).contains(t))
+        .filter(|(t, _)| !(318..326).contains(t))
         .map(|(_, corners)| *corners)
         .collect();
     let holed = TriMesh::from_soup(plane.positions_m().to_vec(), kept)
@@ -219,11 +219,18 @@ fn a_cap_becomes_the_stereographic_disk() {
 }
 
 #[test]
+fn a_hemisphere_becomes_conformal_as_it_is_refined() {
+    let error = |rings| {
+        let result = flatten(&cap(rings, FRAC_PI_2, 0.0), &whole()).unwrap();
+        result.charts[0].distortion
+    };
+    let (coarse, fine) = (error(15), error(30));
+    assert!(fine.quasi_conformal_max < 1.05, "{fine:?}");
+    assert!(fine.quasi_conformal_mean - 1.0 < 0.6 * (coarse.quasi_conformal_mean - 1.0));
+}
+
+#[test]
 fn a_noisy_hemisphere_stays_nearly_conformal() {
-    let smooth = flatten(&cap(30, FRAC_PI_2, 0.0), &whole()).unwrap();
-    let distortion = smooth.charts[0].distortion;
-    assert!(distortion.quasi_conformal_mean < 1.01, "{distortion:?}");
-    assert!(distortion.quasi_conformal_max < 1.1, "{distortion:?}");
     let noisy = flatten(&cap(30, FRAC_PI_2, 0.004), &whole()).unwrap();
     let distortion = noisy.charts[0].distortion;
     assert!(distortion.quasi_conformal_mean < 1.1, "{distortion:?}");
@@ -238,7 +245,7 @@ fn flat_disk(surface: &TriMesh) -> (cut::Disk, Vec<[f64; 2]>) {
         .map(|t| manifold.oriented_corners_m(surface, t))
         .collect();
     let disk = make_disk(corners, manifold.mates().to_vec()).unwrap();
-    let flat = flatten_disk(&disk).unwrap();
+    let flat = flatten_disk(&disk).unwrap().points_m;
     let mut points = vec![[f64::NAN; 2]; surface.num_vertices()];
     for (local, global) in disk.vertices.iter().zip(surface.triangles()) {
         for k in 0..3 {
@@ -249,7 +256,7 @@ fn flat_disk(surface: &TriMesh) -> (cut::Disk, Vec<[f64; 2]>) {
 }
 
 fn boundary_points(disk: &cut::Disk, _points: &[[f64; 2]]) -> Vec<[f64; 2]> {
-    let flat = flatten_disk(disk).unwrap();
+    let flat = flatten_disk(disk).unwrap().points_m;
     disk.boundary
         .iter()
         .map(|&h| flat[disk.vertices[h as usize / 3][h as usize % 3] as usize])
