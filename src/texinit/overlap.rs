@@ -1,4 +1,4 @@
-//! Overlap detection and its cure: after [`separate`], no two triangles of a chart share area in
+//! Overlap detection and its cure: after [`separate()`], no two triangles of a chart share area in
 //! the plane.
 //!
 //! Method: Zhao, Zhao, Schwing, ECCV 2022, section 3.1, Eq. MRFPlane. Triangles of a chart that
@@ -73,7 +73,7 @@ impl Default for OverlapParams {
     }
 }
 
-/// What [`separate`] found and did.
+/// What [`separate()`] found and did.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub struct OverlapReport {
     /// Charts that came in.
