@@ -2,7 +2,7 @@
 //!
 //! Each chart is turned to its smallest rectangle, longer side across; scaled by `texels_per_m`;
 //! flipped (charts are y up, pages v down, so they are not mirrored); put on the grid of
-//! [`super::texels`]; given a gutter; and placed from the highest to the lowest rectangle. A
+//! [`super::texels`]; given a gutter; and placed from the largest to the smallest rectangle. A
 //! chart larger than a page is drawn smaller. All is deterministic.
 //!
 //! No two triangles own one texel ([`super::num_shared_texels`]): rectangles are disjoint, and
