@@ -2,15 +2,16 @@
 //!
 //! Each chart is turned to its smallest rectangle, longer side across; scaled by `texels_per_m`;
 //! flipped (charts are y up, pages v down, so they are not mirrored); put on the grid of
-//! [`super::texels`]; given a gutter; and placed from the highest to the lowest rectangle. A
+//! [`super::texels`]; given a gutter; and placed from the largest to the smallest rectangle. A
 //! chart larger than a page is drawn smaller. All is deterministic.
 //!
 //! No two triangles own one texel ([`super::num_shared_texels`]): rectangles are disjoint, and
 //! within each chart every claim is checked after rounding. Where rounding makes triangles of a
 //! chart share a texel, the chart starts elsewhere within its first texel, and if that does not
-//! help, the later triangle is placed apart. A triangle of no area on the grid gets one texel of
-//! its own, around whose centre its corners are put, so that colour transfer paints it like any
-//! other. A thin or small triangle may still own no texel; it is drawn from its neighbours' texels.
+//! help, the later triangle is placed apart. A triangle of no area on the grid, or of
+//! a chart so small that it owns no texel, gets one texel of its own, around whose centre its
+//! corners are put, so that colour transfer paints it like any other. Other thin or small triangles may
+//! own no texel; they are drawn from their neighbours'. Every rectangle owns one.
 
 mod bounding_rect;
 mod place;
@@ -121,8 +122,8 @@ pub struct PackReport {
     pub num_scaled_charts: usize,
     /// Smallest factor of these; 1 when there are none.
     pub smallest_scale: f64,
-    /// Triangles of no area, each with a texel of its own.
-    pub num_degenerate_triangles: usize,
+    /// Triangles with a texel of their own: of no area, or in a chart that would own no texel.
+    pub num_own_texel_triangles: usize,
     /// Triangles that own no texel: smaller than one, or between centres.
     pub num_subtexel_triangles: usize,
     /// Triangles placed apart from their chart because they would have shared a texel.
@@ -318,7 +319,7 @@ fn report(
         num_owned_texels: count(|s| s.num_owned_texels),
         num_scaled_charts: scales.clone().filter(|scale| *scale < 1.0).count(),
         smallest_scale: scales.fold(1.0, f64::min),
-        num_degenerate_triangles: count(|s| s.num_degenerate_triangles),
+        num_own_texel_triangles: count(|s| s.num_own_texel_triangles),
         num_subtexel_triangles: count(|s| s.num_subtexel_triangles),
         num_moved_triangles: count(|s| s.num_moved_triangles),
     }

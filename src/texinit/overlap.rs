@@ -1,4 +1,4 @@
-//! Overlap detection and its cure: after [`separate`], no two triangles of a chart share area in
+//! Overlap detection and its cure: after [`separate()`], no two triangles of a chart share area in
 //! the plane.
 //!
 //! Method: Zhao, Zhao, Schwing, ECCV 2022, section 3.1, Eq. MRFPlane. Triangles of a chart that
@@ -9,9 +9,9 @@
 //! are a piece, and each piece is a chart of its own.
 //!
 //! Two additions, each switchable. Region growing (add a neighbour unless it overlaps the piece)
-//! is tried beside the field, and the result with fewer pieces is kept. A chart so folded that its
-//! overlapping pairs outnumber [`OverlapParams::max_pairs_per_triangle`] is grown only, whose time
-//! does not depend on how many layers there are.
+//! is tried beside the field, and the result with fewer pieces is kept. A chart too
+//! folded for the field ([`OverlapParams::max_pairs_per_triangle`], [`OverlapParams::max_messages`])
+//! is grown only, whose time does not depend on how many layers there are.
 //!
 //! Charts without overlap, nearly all of them, come back as they were.
 
@@ -52,6 +52,8 @@ pub struct OverlapParams {
     pub max_planes: usize,
     /// More overlapping pairs than this times the chart's triangles: the chart is grown only.
     pub max_pairs_per_triangle: usize,
+    /// More messages (two per pair and plane, 8 bytes each) than this: the chart is grown only.
+    pub max_messages: usize,
     /// Keep the grown pieces where they are fewer than the field's.
     pub try_growing: bool,
 }
@@ -65,12 +67,13 @@ impl Default for OverlapParams {
             max_sweeps: 10,
             max_planes: 16,
             max_pairs_per_triangle: 64,
+            max_messages: 1 << 23,
             try_growing: true,
         }
     }
 }
 
-/// What [`separate`] found and did.
+/// What [`separate()`] found and did.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub struct OverlapReport {
     /// Charts that came in.
@@ -79,7 +82,7 @@ pub struct OverlapReport {
     pub num_overlapping_charts: usize,
     /// Pairs of overlapping triangles, where they were counted to the end.
     pub num_overlapping_pairs: usize,
-    /// Charts with too many overlapping pairs for the field.
+    /// Charts too folded for the field.
     pub num_crowded_charts: usize,
     /// Overlapping charts whose pieces are the grown ones.
     pub num_grown_charts: usize,
@@ -133,7 +136,7 @@ fn separate_chart(chart: FlatChart, params: &OverlapParams) -> (Vec<FlatChart>, 
     let pieces = separate::pieces(&chart.corners_m, &layer, pairs.as_deref(), params);
     report.num_overlapping_charts = 1;
     report.num_overlapping_pairs = pairs.as_ref().map_or(0, Vec::len);
-    report.num_crowded_charts = usize::from(pairs.is_none());
+    report.num_crowded_charts = usize::from(pieces.is_crowded);
     report.num_grown_charts = usize::from(pieces.method == PieceMethod::Growing);
     report.num_moved_triangles = pieces.num_moved_triangles;
     report.num_pieces = pieces.members.len();
@@ -300,6 +303,18 @@ mod tests {
             assert!((4..=8).contains(&pieces.len()), "{} pieces", pieces.len());
             assert!(report.num_pieces == pieces.len());
         }
+    }
+
+    #[test]
+    fn a_chart_too_folded_for_the_field_is_grown() {
+        let spiral = wound_strip(3.0);
+        let params = OverlapParams {
+            max_messages: 1000,
+            ..OverlapParams::default()
+        };
+        let (pieces, report) = separated(&spiral, &params);
+        check(&spiral, &pieces);
+        assert_eq!((report.num_crowded_charts, report.num_grown_charts), (1, 1));
     }
 
     #[test]

@@ -151,7 +151,7 @@ pub(super) struct ShapedChart {
     /// The chart, then the triangles that could not stay in it.
     pub(super) pieces: Vec<Piece>,
     pub(super) num_owned_texels: usize,
-    pub(super) num_degenerate_triangles: usize,
+    pub(super) num_own_texel_triangles: usize,
     pub(super) num_subtexel_triangles: usize,
     pub(super) num_moved_triangles: usize,
 }
@@ -175,15 +175,13 @@ pub(super) fn shape(
             triangles.push(triangle);
             corners.push(placed);
         } else {
-            degenerate.push(Piece::own_texel(triangle));
+            degenerate.push(triangle);
         }
     }
-    shaped.num_degenerate_triangles = degenerate.len();
-    shaped.num_owned_texels = degenerate.len();
     if !triangles.is_empty() {
         shaped.add_chart(triangles, corners, params.gutter_texel);
     }
-    shaped.pieces.extend(degenerate);
+    shaped.push_own_texels(degenerate);
     shaped
 }
 
@@ -199,31 +197,45 @@ impl ShapedChart {
             let corners = corners.iter().map(|c| c.map(moved)).collect();
             Piece::fitted(triangles.clone(), corners, gutter_texel)
         };
-        for start in STARTS_SUBTEXEL {
-            let piece = at_start(start);
-            if let Some(claims) = claim_all(&piece) {
-                self.num_owned_texels += claims.num_owned_texels;
-                self.num_subtexel_triangles += claims.num_subtexel_triangles;
-                self.pieces.push(piece);
-                return;
+        let mut is_shared = false;
+        for piece in STARTS_SUBTEXEL.map(at_start) {
+            match claim_all(&piece) {
+                None => is_shared = true,
+                Some(claims) if claims.num_owned_texels > 0 => {
+                    self.push(piece, &claims);
+                    return;
+                }
+                Some(_) => {}
             }
+        }
+        if !is_shared {
+            self.push_own_texels(triangles);
+            return;
         }
         let (kept, moved) = split_by_owner(&at_start(STARTS_SUBTEXEL[0]));
         self.num_moved_triangles += moved.triangles.len();
-        if !kept.triangles.is_empty() {
-            self.push_claimed(Piece::fitted(kept.triangles, kept.corners, gutter_texel));
-        }
-        for (triangle, corners) in moved.triangles.into_iter().zip(moved.corners) {
-            self.push_claimed(Piece::fitted(vec![triangle], vec![corners], gutter_texel));
+        let apart = moved.triangles.into_iter().zip(moved.corners);
+        let apart = apart.map(|(triangle, corners)| (vec![triangle], vec![corners]));
+        for (triangles, corners) in std::iter::once((kept.triangles, kept.corners)).chain(apart) {
+            let piece = Piece::fitted(triangles, corners, gutter_texel);
+            match claim_all(&piece) {
+                Some(claims) if claims.num_owned_texels > 0 => self.push(piece, &claims),
+                _ => self.push_own_texels(piece.triangles),
+            }
         }
     }
 
-    fn push_claimed(&mut self, piece: Piece) {
-        if let Some(claims) = claim_all(&piece) {
-            self.num_owned_texels += claims.num_owned_texels;
-            self.num_subtexel_triangles += claims.num_subtexel_triangles;
-        }
+    fn push(&mut self, piece: Piece, claims: &Claims) {
+        self.num_owned_texels += claims.num_owned_texels;
+        self.num_subtexel_triangles += claims.num_subtexel_triangles;
         self.pieces.push(piece);
+    }
+
+    fn push_own_texels(&mut self, triangles: Vec<TriangleId>) {
+        self.num_own_texel_triangles += triangles.len();
+        self.num_owned_texels += triangles.len();
+        self.pieces
+            .extend(triangles.into_iter().map(Piece::own_texel));
     }
 }
 

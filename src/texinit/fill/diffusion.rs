@@ -186,37 +186,97 @@ fn relax(
     linear: &mut [Option<[f64; 3]>],
     params: &FillParams,
 ) -> usize {
-    let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
-    for colour in linear.iter().flatten() {
-        for k in 0..3 {
-            low[k] = low[k].min(colour[k]);
-            high[k] = high[k].max(colour[k]);
+    let mut system = System::new(graph, order, linear);
+    let mut num_sweeps = 0;
+    while num_sweeps < params.max_sweeps {
+        let change = system.sweep(num_sweeps % 2 == 1, params.over_relaxation);
+        num_sweeps += 1;
+        if change < CONVERGED {
+            break;
         }
     }
-    for sweep in 0..params.max_sweeps {
-        let mut largest_change = 0.0f64;
-        let mut update = |vertex: usize| {
-            let (Some(mean), Some(colour)) = (graph.mean(vertex, linear), linear[vertex]) else {
-                return;
-            };
-            // Over-relaxing may overshoot the range, which the solution never leaves.
-            let relaxed: [f64; 3] = std::array::from_fn(|k| {
-                let change = params.over_relaxation * (mean[k] - colour[k]);
-                (colour[k] + change).max(low[k]).min(high[k])
-            });
-            for (new, old) in relaxed.iter().zip(colour) {
-                largest_change = largest_change.max((new - old).abs());
+    for (&vertex, value) in order.iter().zip(&system.values) {
+        linear[vertex] = Some(*value);
+    }
+    num_sweeps
+}
+
+/// The free vertices in their order, then the given ones, close together for sweeping.
+struct System {
+    values: Vec<[f64; 3]>,
+    start: Vec<usize>,
+    /// Place of the neighbour and its share of the mean.
+    shares: Vec<(u32, f64)>,
+    low: [f64; 3],
+    high: [f64; 3],
+}
+
+impl System {
+    fn new(graph: &Graph, order: &[usize], linear: &[Option<[f64; 3]>]) -> Self {
+        let mut place_of = vec![ABSENT; linear.len()];
+        let mut values = Vec::with_capacity(order.len());
+        let mut place = |vertex: usize| {
+            let slot = &mut place_of[vertex];
+            if *slot == ABSENT {
+                *slot = u32::try_from(values.len()).unwrap_or(ABSENT);
+                values.push(linear[vertex].unwrap_or_default());
             }
-            linear[vertex] = Some(relaxed);
+            *slot
         };
-        if sweep % 2 == 0 {
-            order.iter().copied().for_each(&mut update);
-        } else {
-            order.iter().rev().copied().for_each(&mut update);
+        for &vertex in order {
+            place(vertex);
         }
-        if largest_change < CONVERGED {
-            return sweep + 1;
+        let mut start = vec![0];
+        let mut shares = Vec::new();
+        for &vertex in order {
+            let neighbours = graph.of(vertex);
+            let total: f64 = neighbours.iter().map(|(_, weight)| weight).sum();
+            let share = |&(to, weight): &(u32, f64)| (place(to as usize), weight / total);
+            shares.extend(neighbours.iter().map(share));
+            start.push(shares.len());
+        }
+        let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
+        for value in &values {
+            for k in 0..3 {
+                low[k] = low[k].min(value[k]);
+                high[k] = high[k].max(value[k]);
+            }
+        }
+        Self {
+            values,
+            start,
+            shares,
+            low,
+            high,
         }
     }
-    params.max_sweeps
+
+    /// Relaxes every free vertex once; returns the largest change.
+    fn sweep(&mut self, is_backward: bool, over_relaxation: f64) -> f64 {
+        let num_free = self.start.len() - 1;
+        let mut largest_change = 0.0f64;
+        for step in 0..num_free {
+            let vertex = if is_backward {
+                num_free - 1 - step
+            } else {
+                step
+            };
+            let mut mean = [0.0; 3];
+            for &(neighbour, share) in &self.shares[self.start[vertex]..self.start[vertex + 1]] {
+                let value = self.values[neighbour as usize];
+                for k in 0..3 {
+                    mean[k] += share * value[k];
+                }
+            }
+            for (k, value) in self.values[vertex].iter_mut().enumerate() {
+                // Over-relaxing may overshoot the range, which the solution never leaves.
+                let relaxed = (*value + over_relaxation * (mean[k] - *value))
+                    .max(self.low[k])
+                    .min(self.high[k]);
+                largest_change = largest_change.max((relaxed - *value).abs());
+                *value = relaxed;
+            }
+        }
+        largest_change
+    }
 }

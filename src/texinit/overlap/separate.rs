@@ -28,6 +28,8 @@ pub(super) struct Pieces {
     pub(super) members: Vec<Vec<usize>>,
     /// What gave them.
     pub(super) method: PieceMethod,
+    /// Whether the field was too large to be set up.
+    pub(super) is_crowded: bool,
     /// Triangles that the guarantee moved to another plane.
     pub(super) num_moved_triangles: usize,
 }
@@ -42,24 +44,28 @@ pub(super) fn pieces(
     let shared = SharedEdges::new(corners_m);
     let adjacency = Neighbours::new(corners_m.len(), &shared.adjacent_pairs(layer));
     let order = breadth_first(&adjacency);
-    let grown = |num_moved_triangles| Pieces {
+    let grown = |is_crowded, num_moved_triangles| Pieces {
         members: grow(&order, &adjacency, layer),
         method: PieceMethod::Growing,
+        is_crowded,
         num_moved_triangles,
     };
     let Some(pairs) = pairs else {
-        return grown(0);
+        return grown(true, 0);
     };
     let overlaps = Neighbours::new(corners_m.len(), pairs);
-    let mut planes = planes_by_field(&order, &adjacency, &overlaps, pairs, params);
+    let Some(mut planes) = planes_by_field(&order, &adjacency, &overlaps, pairs, params) else {
+        return grown(true, 0);
+    };
     let num_moved_triangles = move_to_free_planes(&mut planes, &adjacency, &overlaps, pairs);
     let by_field = Pieces {
         members: shared.connected(&planes),
         method: PieceMethod::Field,
+        is_crowded: false,
         num_moved_triangles,
     };
     if params.try_growing {
-        let grown = grown(num_moved_triangles);
+        let grown = grown(false, num_moved_triangles);
         if grown.members.len() < by_field.members.len() {
             return grown;
         }
@@ -254,22 +260,27 @@ fn first_fit(order: &[usize], overlaps: &Neighbours) -> Vec<u32> {
     planes
 }
 
+/// The field's planes; nothing when it would take too many messages.
 fn planes_by_field(
     order: &[usize],
     adjacency: &Neighbours,
     overlaps: &Neighbours,
     overlapping_pairs: &[[u32; 2]],
     params: &OverlapParams,
-) -> Vec<u32> {
+) -> Option<Vec<u32>> {
     let preferred = first_fit(order, overlaps);
     let num_planes = preferred.iter().max().map_or(1, |&p| p as usize + 1);
     let num_labels = num_planes.min(params.max_planes.max(2));
+    let num_edges = adjacency.others.len() / 2 + overlapping_pairs.len();
+    if num_edges.saturating_mul(2 * num_labels) > params.max_messages {
+        return None;
+    }
     let mut unary = vec![0.0; preferred.len() * num_labels];
     for (triangle, &plane) in preferred.iter().enumerate() {
         let label = (plane as usize).min(num_labels - 1);
         unary[triangle * num_labels + label] = params.unary_reward;
     }
-    let mut edges = Vec::with_capacity(adjacency.others.len() / 2 + overlapping_pairs.len());
+    let mut edges = Vec::with_capacity(num_edges);
     // In walking order, so that one sweep carries a plane along a whole strip.
     for &triangle in order {
         let forward = adjacency.of(triangle).filter(|&other| triangle < other);
@@ -289,10 +300,12 @@ fn planes_by_field(
         unary,
         edges,
     };
-    mplp::solve(&field, params.max_sweeps)
-        .into_iter()
-        .map(|label| u32::try_from(label).unwrap_or(u32::MAX))
-        .collect()
+    let labels = mplp::solve(&field, params.max_sweeps).into_iter();
+    Some(
+        labels
+            .map(|label| u32::try_from(label).unwrap_or(u32::MAX))
+            .collect(),
+    )
 }
 
 /// Moves one triangle of each pair that overlaps on one plane to the smallest plane free of all
