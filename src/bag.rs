@@ -6,12 +6,12 @@
 
 mod chunk;
 pub mod error;
-pub mod scan_writer;
 mod index;
 mod peek;
 pub mod reader;
 mod record;
 pub mod roles;
+pub mod scan_writer;
 pub mod writer;
 
 pub use error::BagError;

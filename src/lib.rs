@@ -26,8 +26,8 @@ pub mod keyframe;
 pub mod mesh;
 pub mod metrics;
 pub mod render;
-pub mod texinit;
+pub mod report;
 #[cfg(feature = "bag")]
 pub mod synth;
+pub mod texinit;
 pub mod wire;
-pub mod report;

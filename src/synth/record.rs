@@ -75,7 +75,9 @@ pub fn synthesize(
     progress: &mut dyn FnMut(u64, u64),
 ) -> Result<SynthSummary, SynthError> {
     options.check()?;
-    let num_frames = options.num_frames.unwrap_or(scene_name.default_num_frames());
+    let num_frames = options
+        .num_frames
+        .unwrap_or(scene_name.default_num_frames());
     let truth = GroundTruth::new(scene_name, options.seed);
     let scene = Arc::clone(&truth.scene);
     let camera = options.camera()?;
@@ -103,8 +105,10 @@ pub fn synthesize(
     let num_updates = options.grow.min(num_frames);
     for batch in (0..num_frames).step_by(BATCH_FRAMES as usize) {
         let end = (batch + BATCH_FRAMES).min(num_frames);
-        let frames: Vec<Result<SynthFrame, SynthError>> =
-            (batch..end).into_par_iter().map(|index| film.frame(index)).collect();
+        let frames: Vec<Result<SynthFrame, SynthError>> = (batch..end)
+            .into_par_iter()
+            .map(|index| film.frame(index))
+            .collect();
         for (index, frame) in (batch..end).zip(frames) {
             let frame = frame?;
             write_frame(&mut bag, &frame, &CameraModel::ideal(camera))?;
@@ -156,11 +160,7 @@ fn write_frame(
 }
 
 /// The metadata record: what [`GroundTruth::from_metadata`] needs, and all options for people.
-fn describe(
-    scene: SceneName,
-    options: &SynthOptions,
-    num_frames: u32,
-) -> BTreeMap<String, String> {
+fn describe(scene: SceneName, options: &SynthOptions, num_frames: u32) -> BTreeMap<String, String> {
     let settings = serde_json::to_string(options).unwrap_or_default();
     [
         ("scene", scene.to_string()),
@@ -189,7 +189,12 @@ impl Film<'_> {
         let image = self.expose(&true_pose, time_s);
         let noise = &self.options.noise;
         let gain = sensor::frame_gain(noise, self.options.seed, time_s);
-        let pixels = sensor::develop(&image.linear, gain, noise.image_255, self.stream("image", index));
+        let pixels = sensor::develop(
+            &image.linear,
+            gain,
+            noise.image_255,
+            self.stream("image", index),
+        );
         let width = self.camera.width() as usize;
         let depth_mm = sensor::measure(&image, width, noise, self.stream("depth", index));
         Ok(SynthFrame {
@@ -254,7 +259,8 @@ fn encode_color(
     let (width, height) = (camera.width(), camera.height());
     match format {
         SynthColorFormat::Jpeg(quality) => {
-            let size = |side: u32| u16::try_from(side).map_err(|_| ImageError::Size { width, height });
+            let size =
+                |side: u32| u16::try_from(side).map_err(|_| ImageError::Size { width, height });
             let mut bytes = Vec::new();
             jpeg_encoder::Encoder::new(&mut bytes, quality)
                 .encode(
@@ -269,7 +275,9 @@ fn encode_color(
                 })?;
             EncodedColor::from_file(bytes.into())
         }
-        SynthColorFormat::Png => EncodedColor::png_from_image(&ColorImage::new(width, height, pixels)?),
+        SynthColorFormat::Png => {
+            EncodedColor::png_from_image(&ColorImage::new(width, height, pixels)?)
+        }
         SynthColorFormat::Raw => EncodedColor::from_raw(
             ColorEncoding::Rgb8,
             width,

@@ -6,10 +6,10 @@ use std::sync::Arc;
 use nalgebra::{Point3, Vector3};
 
 use super::hash::Stream;
+use super::options::{SceneName, SynthError};
 use super::scene::Scene;
 use super::surface::Surface;
 use super::texture::Linear;
-use super::options::{SceneName, SynthError};
 
 /// Key of the MCAP metadata record that describes a synthetic recording.
 pub const METADATA_NAME: &str = "veneer_synth";
@@ -75,7 +75,10 @@ impl GroundTruth {
 
     /// Names of the surfaces, in the order of [`super::SurfaceScore::surface`].
     pub fn surface_names(&self) -> impl Iterator<Item = &str> {
-        self.scene.surfaces.iter().map(|surface| surface.name.as_str())
+        self.scene
+            .surfaces
+            .iter()
+            .map(|surface| surface.name.as_str())
     }
 
     /// The true colour, sRGB on the scale 0–255, averaged in linear light over a square of
@@ -92,7 +95,11 @@ impl GroundTruth {
     }
 
     /// The surface that a point belongs to.
-    pub(super) fn find(&self, point_in_world: &Point3<f64>, normal: &Vector3<f64>) -> Option<Match> {
+    pub(super) fn find(
+        &self,
+        point_in_world: &Point3<f64>,
+        normal: &Vector3<f64>,
+    ) -> Option<Match> {
         let normal = normal.try_normalize(0.0)?;
         let mut best: Option<(f64, Match)> = None;
         for &index in self.cells.near(point_in_world) {
