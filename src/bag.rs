@@ -7,6 +7,7 @@
 mod chunk;
 pub mod error;
 mod index;
+pub mod info;
 mod peek;
 pub mod reader;
 mod record;
@@ -15,6 +16,7 @@ pub mod scan_writer;
 pub mod writer;
 
 pub use error::BagError;
+pub use info::BagInfo;
 pub use reader::{BagReader, metadata};
 pub use roles::{MissingRole, PoseSource, TopicAssignment, TopicPlan, TopicRoles};
 pub use writer::{BagSummary, BagWriter, ChannelId, Compression};

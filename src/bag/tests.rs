@@ -386,3 +386,57 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn info_counts_rates_gaps_refusals_and_what_is_missing() {
+    let mut messages = messages(80);
+    // A pause of 50 ms after the first half, and one broken depth image.
+    for message in &mut messages[40..] {
+        message.1 += 50_000_000;
+    }
+    messages[5].2.truncate(40);
+    let file = tempfile::NamedTempFile::new().unwrap();
+    std::fs::write(file.path(), write(WriteOptions::new(), &messages)).unwrap();
+    let info = BagInfo::read(file.path(), &TopicRoles::default()).unwrap();
+    let topic = |name: &str| info.topics.iter().find(|t| t.topic == name).unwrap();
+    let color = topic("/color/image_raw");
+    assert_eq!(
+        (color.num_messages, color.num_gaps, color.num_refused),
+        (20, 1, 0)
+    );
+    assert_eq!(color.roles, [TopicRole::Color]);
+    // 20 messages over 76 + 50 ms.
+    assert!((color.rate_hz.unwrap() - 19.0 / 0.126).abs() < 1e-6);
+    assert!((color.longest_gap_s - 0.054).abs() < 1e-9);
+    assert_eq!(color.encoding.as_deref(), Some("rgb8"));
+    let depth = topic("/depth/image_raw");
+    assert_eq!(
+        (depth.num_refused, depth.roles.as_slice()),
+        (1, &[TopicRole::Depth][..])
+    );
+    assert!(topic("/unused").roles.is_empty());
+    // Depth is 1 ms behind colour; the one whose partner is broken has its next 3 ms before.
+    let sync = info.sync.as_ref().unwrap();
+    assert_eq!((sync.num_color, sync.num_exact), (20, 0));
+    assert!((sync.median_s - 0.001).abs() < 1e-12 && (sync.max_s - 0.003).abs() < 1e-12);
+    let roles: Vec<_> = info.missing.iter().map(|m| m.role).collect();
+    assert_eq!(
+        roles,
+        [TopicRole::ColorInfo, TopicRole::DepthInfo, TopicRole::Mesh]
+    );
+    let words = info.to_string();
+    for part in [
+        "/color/image_raw  sensor_msgs/msg/Image  20 messages  150.8 Hz  1 gaps",
+        "used for colour images",
+        "1 refused, the first: 0.006000000: sensor_msgs/msg/Image.",
+        "record /color/camera_info",
+        "no mesh",
+    ] {
+        assert!(words.contains(part), "{part} in {words}");
+    }
+    assert!(
+        serde_json::to_string(&info)
+            .unwrap()
+            .contains("\"color_info\"")
+    );
+}
