@@ -1,14 +1,5 @@
 //! The one integration binary: each file is one subject.
 
-#![expect(
-    clippy::unwrap_used,
-    reason = "a test fails by panicking, helpers included"
-)]
-#![expect(
-    clippy::print_stdout,
-    reason = "a test whose oracle cannot be reached says SKIPPED"
-)]
-
 mod export;
 mod python;
 mod report;
