@@ -130,12 +130,9 @@ fn png(
     encoder.set_color(color);
     encoder.set_depth(depth);
     encoder.set_compression(png::Compression::Fast);
-    // One fixed filter: choosing per row costs more than the deflate pass itself.
-    encoder.set_filter(if depth == png::BitDepth::Eight {
-        png::Filter::Up
-    } else {
-        png::Filter::NoFilter
-    });
+    // One fixed filter: choosing per row costs more than the deflate pass itself, and the fast
+    // level finds runs of zeros only, which areas of one value become under this one.
+    encoder.set_filter(png::Filter::Up);
     if color == png::ColorType::Rgb {
         encoder.set_source_srgb(png::SrgbRenderingIntent::Perceptual);
     }

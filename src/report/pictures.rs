@@ -1,5 +1,7 @@
 //! Drawing on plain images: smaller, different, hatched, labelled.
 
+use std::sync::LazyLock;
+
 use rayon::prelude::*;
 
 use crate::atlas::TexelSource;
@@ -23,6 +25,24 @@ pub fn fitted_size(width: u32, height: u32, max_side_px: u32) -> [u32; 2] {
     })
 }
 
+const NUM_STEPS: usize = 4096;
+
+static SRGB_OF_STEP: LazyLock<Vec<u8>> = LazyLock::new(|| {
+    (0..=NUM_STEPS)
+        .map(|step| srgb_from_linear(step as f32 / NUM_STEPS as f32))
+        .collect()
+});
+
+/// [`srgb_from_linear`] within one byte, without the power function of each pixel.
+#[expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "clamped to the table before the cast"
+)]
+fn srgb_nearly(linear: f32) -> u8 {
+    SRGB_OF_STEP[(linear.clamp(0.0, 1.0) * NUM_STEPS as f32 + 0.5) as usize]
+}
+
 /// Mean in linear light over the pixels that each new pixel covers, those that `is_counted` (by
 /// index); [`colors::BACKGROUND`] where none is. Rows in parallel.
 pub fn downscale_where(
@@ -36,15 +56,16 @@ pub fn downscale_where(
         let bound = |i: u32| i as usize * old as usize / new as usize;
         bound(i)..bound(i + 1).max(bound(i) + 1).min(old as usize)
     };
+    let columns: Vec<_> = (0..new_width).map(|x| range(x, new_width, width)).collect();
     let rows: Vec<Vec<[u8; 3]>> = (0..new_height)
         .into_par_iter()
         .map(|new_y| {
             let mut row = Vec::with_capacity(new_width as usize);
-            for new_x in 0..new_width {
+            for columns in &columns {
                 let mut sum = [0f32; 3];
                 let mut count = 0u32;
                 for y in range(new_y, new_height, height) {
-                    for x in range(new_x, new_width, width) {
+                    for x in columns.clone() {
                         let index = y * width as usize + x;
                         if is_counted(index) {
                             for (total, &byte) in sum.iter_mut().zip(&pixels[index]) {
@@ -56,7 +77,7 @@ pub fn downscale_where(
                 }
                 row.push(match count {
                     0 => colors::BACKGROUND,
-                    _ => sum.map(|total| srgb_from_linear(total / count as f32)),
+                    _ => sum.map(|total| srgb_nearly(total / count as f32)),
                 });
             }
             row

@@ -1,5 +1,11 @@
 //! Exported files, opened by programs that are not ours: Khronos' glTF validator and trimesh.
 
+#![expect(
+    clippy::unwrap_used,
+    reason = "a test fails by panicking, its helpers included"
+)]
+#![expect(clippy::print_stderr, reason = "a skipped test must be seen")]
+
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -47,11 +53,11 @@ fn npm_folder() -> Option<PathBuf> {
         Ok(output) if output.status.success() => Some(folder),
         Ok(output) => {
             let reason = String::from_utf8_lossy(&output.stderr).into_owned();
-            println!("SKIPPED: npm cannot install {VALIDATOR}: {reason}");
+            eprintln!("SKIPPED: npm cannot install {VALIDATOR}: {reason}");
             None
         }
         Err(error) => {
-            println!("SKIPPED: no npm: {error}");
+            eprintln!("SKIPPED: no npm: {error}");
             None
         }
     }
@@ -192,7 +198,7 @@ fn sha256sum_agrees_with_the_list() {
         .current_dir(folder.path())
         .output()
     else {
-        println!("SKIPPED: no sha256sum");
+        eprintln!("SKIPPED: no sha256sum");
         return;
     };
     let checked = String::from_utf8_lossy(&output.stdout);

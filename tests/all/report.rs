@@ -1,5 +1,10 @@
 //! The report of a room, as a browser would open it.
 
+#![expect(
+    clippy::unwrap_used,
+    reason = "a test fails by panicking, its helpers included"
+)]
+
 use std::path::Path;
 
 use nalgebra::{Rotation3, UnitQuaternion, Vector3};

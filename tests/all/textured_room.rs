@@ -2,6 +2,10 @@
 //! in closed form, so that whatever is made from them can be checked without the code under test.
 
 #![expect(
+    clippy::unwrap_used,
+    reason = "a test fails by panicking, its helpers included"
+)]
+#![expect(
     clippy::cast_possible_truncation,
     reason = "a room of a few metres, colours below 256"
 )]
