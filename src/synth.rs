@@ -32,7 +32,9 @@ mod texture;
 mod truth;
 mod truth_atlas;
 
-pub use options::{SceneName, SynthColorFormat, SynthDepthFormat, SynthError, SynthNoise, SynthOptions};
+pub use options::{
+    SceneName, SynthColorFormat, SynthDepthFormat, SynthError, SynthNoise, SynthOptions,
+};
 pub use record::{SynthSummary, synthesize};
 pub use score::{Percentiles, Score, SurfaceScore, score};
 pub use truth::{GroundTruth, METADATA_NAME, TOLERANCE_M};

@@ -54,7 +54,10 @@ impl Bvh {
             let local_from_world = surface.world_from_local.inverse();
             Primitive {
                 shape: surface.shape,
-                local_from_world: local_from_world.rotation().to_rotation_matrix().into_inner(),
+                local_from_world: local_from_world
+                    .rotation()
+                    .to_rotation_matrix()
+                    .into_inner(),
                 world_in_local: *local_from_world.translation(),
             }
         };

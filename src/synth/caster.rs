@@ -115,9 +115,8 @@ fn cast_pixel(
         for i in 0..supersampling {
             let offset = |k: u32| (f64::from(k) + 0.5) * step - 0.5;
             let ray = camera.ray(f64::from(x) + offset(i), f64::from(y) + offset(j));
-            let color = nearest(views, &ray).map_or(VOID, |(view, hit)| {
-                view.radiance(&hit, &ray, camera, step)
-            });
+            let color = nearest(views, &ray)
+                .map_or(VOID, |(view, hit)| view.radiance(&hit, &ray, camera, step));
             for c in 0..3 {
                 sum[c] += color[c];
             }
@@ -190,7 +189,10 @@ impl<'a> View<'a> {
         (min_depth_m.is_finite() && !is_beside).then(|| Self {
             surface,
             camera_in_local: *local_from_camera.translation(),
-            local_from_camera: local_from_camera.rotation().to_rotation_matrix().into_inner(),
+            local_from_camera: local_from_camera
+                .rotation()
+                .to_rotation_matrix()
+                .into_inner(),
             bounds_px,
             // Rounding of the hull must not hide a hit.
             min_depth_m: min_depth_m - 1e-6,
@@ -233,10 +235,8 @@ impl<'a> View<'a> {
                 .max(gradient.dot(&dy).abs())
                 .min(MAX_WIDTH_M)
         };
-        self.surface.radiance(
-            hit.uv_m,
-            [width(&tangents.grad_u), width(&tangents.grad_v)],
-        )
+        self.surface
+            .radiance(hit.uv_m, [width(&tangents.grad_u), width(&tangents.grad_v)])
     }
 }
 

@@ -48,7 +48,8 @@ impl Growth {
             let point = camera_from_world.transform_point(&middle(&self.mesh, triangle));
             if is_shown(&point, camera, depth_m) {
                 self.is_seen[triangle.index()] = true;
-                self.is_changed.insert(self.block_of_triangle[triangle.index()], true);
+                self.is_changed
+                    .insert(self.block_of_triangle[triangle.index()], true);
             }
         }
     }
@@ -81,6 +82,16 @@ impl Growth {
             .collect()
     }
 
+    /// Share of the mesh's area that was seen.
+    #[cfg(test)]
+    pub(super) fn seen_area_share(&self) -> f64 {
+        let area = |wanted: &dyn Fn(usize) -> bool| {
+            let ids = self.mesh.triangle_ids().filter(|t| wanted(t.index()));
+            ids.map(|t| self.mesh.area_m2(t)).sum::<f64>()
+        };
+        area(&|index| self.is_seen[index]) / area(&|_| true)
+    }
+
     fn submesh(&self, triangles: &[[u32; 3]]) -> TriMesh {
         let mut new_id: BTreeMap<u32, u32> = BTreeMap::new();
         let mut points = Vec::new();
@@ -106,7 +117,10 @@ fn middle(mesh: &TriMesh, triangle: TriangleId) -> Point3<f64> {
 }
 
 fn is_shown(point_in_camera: &Point3<f64>, camera: &PinholeCamera, depth_m: &[f32]) -> bool {
-    let Some([x, y]) = camera.project(point_in_camera).filter(|px| camera.contains(*px)) else {
+    let Some([x, y]) = camera
+        .project(point_in_camera)
+        .filter(|px| camera.contains(*px))
+    else {
         return false;
     };
     #[expect(
@@ -116,9 +130,9 @@ fn is_shown(point_in_camera: &Point3<f64>, camera: &PinholeCamera, depth_m: &[f3
     )]
     let at = y.round() as usize * camera.width() as usize + x.round() as usize;
     let tolerance_m = 0.02 + 0.02 * point_in_camera.z;
-    depth_m
-        .get(at)
-        .is_some_and(|&depth| depth > 0.0 && (f64::from(depth) - point_in_camera.z).abs() < tolerance_m)
+    depth_m.get(at).is_some_and(|&depth| {
+        depth > 0.0 && (f64::from(depth) - point_in_camera.z).abs() < tolerance_m
+    })
 }
 
 /// Blocks count along x, then y, then z, 2²⁰ to an axis.

@@ -92,11 +92,7 @@ pub(super) fn bake(surfaces: &mut [Surface], lighting: &Lighting) {
     }
 }
 
-fn bake_surface(
-    surface: &Surface,
-    bvh: &Bvh,
-    lighting: &Lighting,
-) -> LightMap {
+fn bake_surface(surface: &Surface, bvh: &Bvh, lighting: &Lighting) -> LightMap {
     const MAX_CELLS: f64 = 96.0;
     let size_m = surface.shape.uv_size_m();
     #[expect(
@@ -135,12 +131,7 @@ impl Surface {
 }
 
 impl Lighting {
-    fn irradiance_at(
-        &self,
-        surface: &Surface,
-        uv: [f64; 2],
-        bvh: &Bvh,
-    ) -> Linear {
+    fn irradiance_at(&self, surface: &Surface, uv: [f64; 2], bvh: &Bvh) -> Linear {
         const LIFT_M: f64 = 1e-4;
         let tangents = surface.shape.tangents(uv);
         let normal = surface.world_from_local.transform_vector(&tangents.normal);
@@ -154,14 +145,11 @@ impl Lighting {
     /// Cosine-weighted share of the hemisphere that is open; a body counts less the farther it
     /// is, and not at all beyond the reach.
     #[expect(clippy::cast_possible_truncation, reason = "a share in [0, 1]")]
-    fn openness(
-        &self,
-        origin: &Point3<f64>,
-        normal: &Vector3<f64>,
-        bvh: &Bvh,
-    ) -> f32 {
-        let world_from_up = Rotation3::rotation_between(&Vector3::z(), normal)
-            .unwrap_or_else(|| Rotation3::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI));
+    fn openness(&self, origin: &Point3<f64>, normal: &Vector3<f64>, bvh: &Bvh) -> f32 {
+        let world_from_up =
+            Rotation3::rotation_between(&Vector3::z(), normal).unwrap_or_else(|| {
+                Rotation3::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI)
+            });
         let mut open = 0.0;
         for k in 0..NUM_AMBIENT_RAYS {
             // Fibonacci points of the unit disc, lifted to the hemisphere: cosine-weighted.
@@ -181,12 +169,7 @@ impl Lighting {
 
     /// Mean over the lamp's points of the cosine at the surface, 0 where it is hidden.
     #[expect(clippy::cast_possible_truncation, reason = "a share in [0, 1]")]
-    fn lamp_share(
-        &self,
-        origin: &Point3<f64>,
-        normal: &Vector3<f64>,
-        bvh: &Bvh,
-    ) -> f32 {
+    fn lamp_share(&self, origin: &Point3<f64>, normal: &Vector3<f64>, bvh: &Bvh) -> f32 {
         let mut share = 0.0;
         for k in 0..LAMP_SIDE * LAMP_SIDE {
             let offset = |k: u32| (f64::from(k) + 0.5) / f64::from(LAMP_SIDE) * 2.0 - 1.0;
@@ -198,10 +181,7 @@ impl Lighting {
             if cosine <= 0.0 {
                 continue;
             }
-            if bvh
-                .nearest_hit( origin, &to_lamp, [0.0, 0.999])
-                .is_none()
-            {
+            if bvh.nearest_hit(origin, &to_lamp, [0.0, 0.999]).is_none() {
                 share += cosine;
             }
         }

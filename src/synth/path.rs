@@ -36,8 +36,9 @@ impl HandHeldPath {
         let shake = |channel: u64| self.tremor.sub(channel).walk(time_s * TREMOR_HZ);
         let eye = eye + Vector3::new(shake(0), shake(1), shake(2)) * TREMOR_M;
         let steady = look_at(&eye, &target);
-        let twist =
-            UnitQuaternion::from_scaled_axis(Vector3::new(shake(3), shake(4), shake(5)) * TREMOR_RAD);
+        let twist = UnitQuaternion::from_scaled_axis(
+            Vector3::new(shake(3), shake(4), shake(5)) * TREMOR_RAD,
+        );
         RigidTransform::from_parts(steady * twist, eye.coords)
     }
 
@@ -88,7 +89,10 @@ mod tests {
         assert!(target_in_camera.z > 1.9);
         assert!(target_in_camera.x.abs() + target_in_camera.y.abs() < 0.08);
         let up_in_camera = pose.inverse().transform_vector(&Vector3::z());
-        assert!(up_in_camera.y < -0.9, "optical y points down: {up_in_camera}");
+        assert!(
+            up_in_camera.y < -0.9,
+            "optical y points down: {up_in_camera}"
+        );
     }
 
     #[test]
@@ -105,7 +109,10 @@ mod tests {
             let (angle_rad, distance_m) = path
                 .world_from_camera(time_s)
                 .distance_to(&path.world_from_camera(time_s + 1e-3));
-            assert!(angle_rad < 0.004 && distance_m < 0.003, "jump at {time_s} s");
+            assert!(
+                angle_rad < 0.004 && distance_m < 0.003,
+                "jump at {time_s} s"
+            );
         }
     }
 }

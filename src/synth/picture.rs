@@ -150,7 +150,12 @@ impl Canvas {
             if segments.is_empty() {
                 continue;
             }
-            let bounds = [left - half, y - half, left + 5.0 * dot + half, y + height + half];
+            let bounds = [
+                left - half,
+                y - half,
+                left + 5.0 * dot + half,
+                y + height + half,
+            ];
             self.shape(bounds, color, |px, py| {
                 let p = [(px - left) / dot, (py - y) / dot];
                 let nearest = segments

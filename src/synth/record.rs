@@ -75,17 +75,24 @@ pub fn synthesize(
     progress: &mut dyn FnMut(u64, u64),
 ) -> Result<SynthSummary, SynthError> {
     options.check()?;
-    let num_frames = options.num_frames.unwrap_or(scene_name.default_num_frames());
     let truth = GroundTruth::new(scene_name, options.seed);
+    record(scene_name, truth, options, out, progress)
+}
+
+/// [`synthesize`] with the scene built already.
+fn record(
+    scene_name: SceneName,
+    truth: GroundTruth,
+    options: &SynthOptions,
+    out: &Path,
+    progress: &mut dyn FnMut(u64, u64),
+) -> Result<SynthSummary, SynthError> {
+    let num_frames = options
+        .num_frames
+        .unwrap_or(scene_name.default_num_frames());
     let scene = Arc::clone(&truth.scene);
-    let camera = options.camera()?;
-    let duration_s = f64::from(num_frames.saturating_sub(1)) / options.fps;
-    let film = Film {
-        path: HandHeldPath::new(&scene.waypoints_m, duration_s, options.seed),
-        scene: &scene,
-        camera,
-        options,
-    };
+    let film = Film::new(&scene, options, num_frames)?;
+    let camera = film.camera;
     let edge_m = options.mesh_edge_m.unwrap_or(scene.edge_m);
     let mesh = tessellate::scene_mesh(&scene, edge_m, &options.noise, options.seed)?;
     let num_triangles = mesh.num_triangles();
@@ -103,8 +110,10 @@ pub fn synthesize(
     let num_updates = options.grow.min(num_frames);
     for batch in (0..num_frames).step_by(BATCH_FRAMES as usize) {
         let end = (batch + BATCH_FRAMES).min(num_frames);
-        let frames: Vec<Result<SynthFrame, SynthError>> =
-            (batch..end).into_par_iter().map(|index| film.frame(index)).collect();
+        let frames: Vec<Result<SynthFrame, SynthError>> = (batch..end)
+            .into_par_iter()
+            .map(|index| film.frame(index))
+            .collect();
         for (index, frame) in (batch..end).zip(frames) {
             let frame = frame?;
             write_frame(&mut bag, &frame, &CameraModel::ideal(camera))?;
@@ -156,11 +165,7 @@ fn write_frame(
 }
 
 /// The metadata record: what [`GroundTruth::from_metadata`] needs, and all options for people.
-fn describe(
-    scene: SceneName,
-    options: &SynthOptions,
-    num_frames: u32,
-) -> BTreeMap<String, String> {
+fn describe(scene: SceneName, options: &SynthOptions, num_frames: u32) -> BTreeMap<String, String> {
     let settings = serde_json::to_string(options).unwrap_or_default();
     [
         ("scene", scene.to_string()),
@@ -173,7 +178,21 @@ fn describe(
     .into()
 }
 
-impl Film<'_> {
+impl<'a> Film<'a> {
+    fn new(
+        scene: &'a Scene,
+        options: &'a SynthOptions,
+        num_frames: u32,
+    ) -> Result<Self, SynthError> {
+        let duration_s = f64::from(num_frames.saturating_sub(1)) / options.fps;
+        Ok(Self {
+            scene,
+            path: HandHeldPath::new(&scene.waypoints_m, duration_s, options.seed),
+            camera: options.camera()?,
+            options,
+        })
+    }
+
     fn time_s(&self, index: u32) -> f64 {
         f64::from(index) / self.options.fps
     }
@@ -189,7 +208,12 @@ impl Film<'_> {
         let image = self.expose(&true_pose, time_s);
         let noise = &self.options.noise;
         let gain = sensor::frame_gain(noise, self.options.seed, time_s);
-        let pixels = sensor::develop(&image.linear, gain, noise.image_255, self.stream("image", index));
+        let pixels = sensor::develop(
+            &image.linear,
+            gain,
+            noise.image_255,
+            self.stream("image", index),
+        );
         let width = self.camera.width() as usize;
         let depth_mm = sensor::measure(&image, width, noise, self.stream("depth", index));
         Ok(SynthFrame {
@@ -254,7 +278,8 @@ fn encode_color(
     let (width, height) = (camera.width(), camera.height());
     match format {
         SynthColorFormat::Jpeg(quality) => {
-            let size = |side: u32| u16::try_from(side).map_err(|_| ImageError::Size { width, height });
+            let size =
+                |side: u32| u16::try_from(side).map_err(|_| ImageError::Size { width, height });
             let mut bytes = Vec::new();
             jpeg_encoder::Encoder::new(&mut bytes, quality)
                 .encode(
@@ -269,7 +294,9 @@ fn encode_color(
                 })?;
             EncodedColor::from_file(bytes.into())
         }
-        SynthColorFormat::Png => EncodedColor::png_from_image(&ColorImage::new(width, height, pixels)?),
+        SynthColorFormat::Png => {
+            EncodedColor::png_from_image(&ColorImage::new(width, height, pixels)?)
+        }
         SynthColorFormat::Raw => EncodedColor::from_raw(
             ColorEncoding::Rgb8,
             width,

@@ -64,7 +64,9 @@ pub(super) fn all_faces(texture: &Texture, salt: u32) -> Faces {
     std::array::from_fn(|face| {
         #[expect(clippy::cast_possible_truncation, reason = "six faces")]
         let face = face as u32;
-        texture.clone().salted(salt.wrapping_mul(8).wrapping_add(face))
+        texture
+            .clone()
+            .salted(salt.wrapping_mul(8).wrapping_add(face))
     })
 }
 
@@ -150,15 +152,45 @@ impl SceneBuilder {
         let [w, d, h] = size_m;
         let (x, y) = (w / 2.0, d / 2.0);
         let frames: [(&str, [[f64; 3]; 3], [f64; 2]); 6] = [
-            ("front", [[-x, -y, h], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]], [w, h]),
-            ("back", [[x, y, h], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]], [w, h]),
-            ("left", [[-x, y, h], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]], [d, h]),
-            ("right", [[x, -y, h], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0]], [d, h]),
-            ("top", [[-x, y, h], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]], [w, d]),
-            ("bottom", [[-x, -y, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], [w, d]),
+            (
+                "front",
+                [[-x, -y, h], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]],
+                [w, h],
+            ),
+            (
+                "back",
+                [[x, y, h], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]],
+                [w, h],
+            ),
+            (
+                "left",
+                [[-x, y, h], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]],
+                [d, h],
+            ),
+            (
+                "right",
+                [[x, -y, h], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0]],
+                [d, h],
+            ),
+            (
+                "top",
+                [[-x, y, h], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]],
+                [w, d],
+            ),
+            (
+                "bottom",
+                [[-x, -y, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
+                [w, d],
+            ),
         ];
         for ((face, frame, size), texture) in frames.into_iter().zip(faces) {
-            self.rect(format!("{name} {face}"), world_from_box, frame, size, texture);
+            self.rect(
+                format!("{name} {face}"),
+                world_from_box,
+                frame,
+                size,
+                texture,
+            );
         }
         self.solids.push(Solid {
             solid_from_world: world_from_box.inverse(),
@@ -224,11 +256,7 @@ impl SceneBuilder {
         texture: Texture,
     ) {
         // Local y is down and local −z, where u starts, is towards −y.
-        let frame_from_local = local_frame(
-            Vector3::new(0.0, 0.0, z1),
-            Vector3::x(),
-            -Vector3::z(),
-        );
+        let frame_from_local = local_frame(Vector3::new(0.0, 0.0, z1), Vector3::x(), -Vector3::z());
         let shape = Shape::Mantle {
             top_radius_m,
             bottom_radius_m,
@@ -253,8 +281,7 @@ impl SceneBuilder {
         [radius_m, inner_radius_m]: [f64; 2],
         texture: Texture,
     ) {
-        let frame_from_local =
-            local_frame(Vector3::new(0.0, 0.0, z), Vector3::x(), -Vector3::y());
+        let frame_from_local = local_frame(Vector3::new(0.0, 0.0, z), Vector3::x(), -Vector3::y());
         let shape = Shape::Disc {
             radius_m,
             inner_radius_m,

@@ -220,7 +220,11 @@ impl Tally {
             })
             .collect();
         let total = |s: &SurfaceScore| s.mean_abs_error_255 * s.num_texels as f64;
-        surfaces.sort_by(|a, b| total(b).total_cmp(&total(a)).then(a.surface.cmp(&b.surface)));
+        surfaces.sort_by(|a, b| {
+            total(b)
+                .total_cmp(&total(a))
+                .then(a.surface.cmp(&b.surface))
+        });
         Score {
             num_seen_texels,
             num_unmatched_texels: self.num_unmatched,
@@ -233,7 +237,11 @@ impl Tally {
                 p95: percentile(&self.bins, num_seen_texels, 0.95),
                 p99: percentile(&self.bins, num_seen_texels, 0.99),
             },
-            seen_area_share: if self.area_m2 > 0.0 { self.seen_area_m2 / self.area_m2 } else { 0.0 },
+            seen_area_share: if self.area_m2 > 0.0 {
+                self.seen_area_m2 / self.area_m2
+            } else {
+                0.0
+            },
             surfaces,
         }
     }

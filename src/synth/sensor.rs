@@ -4,9 +4,9 @@ use std::sync::LazyLock;
 
 use crate::geom::color::srgb_from_linear;
 
-use super::options::SynthNoise;
 use super::caster::CastImage;
 use super::hash::Stream;
+use super::options::SynthNoise;
 use super::texture::Linear;
 
 const NUM_LEVELS: usize = 1 << 16;
@@ -34,7 +34,12 @@ pub(super) fn frame_gain(noise: &SynthNoise, seed: u64, time_s: f64) -> Linear {
 }
 
 /// sRGB bytes of the image under a gain, with read noise.
-pub(super) fn develop(linear: &[Linear], gain: Linear, image_noise_255: f64, noise: Stream) -> Vec<[u8; 3]> {
+pub(super) fn develop(
+    linear: &[Linear],
+    gain: Linear,
+    image_noise_255: f64,
+    noise: Stream,
+) -> Vec<[u8; 3]> {
     let table: &[u8] = &SRGB_FROM_LEVEL;
     let byte = |value: f32| {
         #[expect(
@@ -53,7 +58,8 @@ pub(super) fn develop(linear: &[Linear], gain: Linear, image_noise_255: f64, noi
                 return clean;
             }
             std::array::from_fn(|c| {
-                let noisy = f64::from(clean[c]) + image_noise_255 * noise.gaussian(index * 3 + c as u64);
+                let noisy =
+                    f64::from(clean[c]) + image_noise_255 * noise.gaussian(index * 3 + c as u64);
                 #[expect(
                     clippy::cast_possible_truncation,
                     clippy::cast_sign_loss,
@@ -68,7 +74,12 @@ pub(super) fn develop(linear: &[Linear], gain: Linear, image_noise_255: f64, noi
 
 /// Depth in millimetres, 0 = no measurement: quantised, with noise that grows with the square of
 /// the distance, and lost with some probability where the depth jumps.
-pub(super) fn measure(image: &CastImage, width: usize, noise: &SynthNoise, random: Stream) -> Vec<u16> {
+pub(super) fn measure(
+    image: &CastImage,
+    width: usize,
+    noise: &SynthNoise,
+    random: Stream,
+) -> Vec<u16> {
     let depth_m = &image.depth_m;
     let lost = random.sub(1);
     (0..depth_m.len())

@@ -313,7 +313,10 @@ impl Shape {
                 let slant = height_m.hypot(top_radius_m - bottom_radius_m);
                 let along = [(bottom_radius_m - top_radius_m) / slant, height_m / slant];
                 let ring = point.x.hypot(point.z) - top_radius_m;
-                [uv[0], (ring * along[0] + point.y * along[1]).clamp(0.0, slant)]
+                [
+                    uv[0],
+                    (ring * along[0] + point.y * along[1]).clamp(0.0, slant),
+                ]
             }
             Self::Sphere { .. } => uv,
         }
@@ -373,9 +376,9 @@ impl Surface {
                     low[axis]
                 }
             };
-            let point = self
-                .world_from_local
-                .transform_point(&Point3::new(pick(0), pick(1), pick(2)));
+            let point =
+                self.world_from_local
+                    .transform_point(&Point3::new(pick(0), pick(1), pick(2)));
             for axis in 0..3 {
                 bounds[0][axis] = bounds[0][axis].min(point[axis]);
                 bounds[1][axis] = bounds[1][axis].max(point[axis]);
@@ -418,7 +421,10 @@ mod tests {
         let mut points = Vec::new();
         for i in 1..10 {
             for j in 1..10 {
-                let uv = [w * f64::from(i) / 10.0 + 1e-3, h * f64::from(j) / 10.0 + 1e-3];
+                let uv = [
+                    w * f64::from(i) / 10.0 + 1e-3,
+                    h * f64::from(j) / 10.0 + 1e-3,
+                ];
                 let on_ring = match *shape {
                     Shape::Disc {
                         radius_m,
@@ -445,7 +451,10 @@ mod tests {
                 let back = shape.uv_of(&point);
                 let nearest = shape.nearest_uv(&point);
                 for axis in 0..2 {
-                    assert!((back[axis] - uv[axis]).abs() < 1e-9, "{shape:?} {uv:?} {back:?}");
+                    assert!(
+                        (back[axis] - uv[axis]).abs() < 1e-9,
+                        "{shape:?} {uv:?} {back:?}"
+                    );
                     assert!((nearest[axis] - uv[axis]).abs() < 1e-9, "{shape:?} {uv:?}");
                 }
             }
@@ -460,8 +469,14 @@ mod tests {
                 let tangents = shape.tangents(uv);
                 let dp_du = (shape.point_at([uv[0] + step, uv[1]]) - shape.point_at(uv)) / step;
                 let dp_dv = (shape.point_at([uv[0], uv[1] + step]) - shape.point_at(uv)) / step;
-                assert!((dp_du.dot(&tangents.grad_u) - 1.0).abs() < 1e-4, "{shape:?} {uv:?}");
-                assert!((dp_dv.dot(&tangents.grad_v) - 1.0).abs() < 1e-4, "{shape:?} {uv:?}");
+                assert!(
+                    (dp_du.dot(&tangents.grad_u) - 1.0).abs() < 1e-4,
+                    "{shape:?} {uv:?}"
+                );
+                assert!(
+                    (dp_dv.dot(&tangents.grad_v) - 1.0).abs() < 1e-4,
+                    "{shape:?} {uv:?}"
+                );
                 assert!(dp_du.dot(&tangents.normal).abs() < 1e-4);
                 assert!(dp_dv.dot(&tangents.normal).abs() < 1e-4);
                 assert!((tangents.normal.norm() - 1.0).abs() < 1e-9);

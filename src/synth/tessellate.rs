@@ -9,8 +9,8 @@ use rayon::prelude::*;
 
 use crate::mesh::{MeshError, TriMesh};
 
-use super::options::SynthNoise;
 use super::hash::Stream;
+use super::options::SynthNoise;
 use super::scene::Scene;
 use super::surface::{Shape, Surface};
 
@@ -55,7 +55,9 @@ fn num_segments(shape: &Shape, edge_m: f64) -> u32 {
             ..
         } => top_radius_m.max(bottom_radius_m),
     };
-    num_steps(TAU * radius_m, edge_m).max(24).next_multiple_of(4)
+    num_steps(TAU * radius_m, edge_m)
+        .max(24)
+        .next_multiple_of(4)
 }
 
 #[expect(
@@ -85,19 +87,53 @@ fn cut(surface: &Surface, edge_m: f64, segments: u32) -> Patch {
         Shape::Rect { .. } => {
             let (nx, ny) = (num_steps(width, edge_m), num_steps(height, edge_m));
             let uv = |i: f64, j: f64| [width * i / f64::from(nx), height * j / f64::from(ny)];
-            Grid { num_columns: nx, num_rows: ny, wraps: false, collapses: [false; 2], uv }.cut(surface)
+            Grid {
+                num_columns: nx,
+                num_rows: ny,
+                wraps: false,
+                collapses: [false; 2],
+                uv,
+            }
+            .cut(surface)
         }
         Shape::Mantle { .. } => {
             let rows = num_steps(height, edge_m);
-            let uv = |i: f64, j: f64| [width * i / f64::from(segments), height * j / f64::from(rows)];
-            Grid { num_columns: segments, num_rows: rows, wraps: true, collapses: [false; 2], uv }.cut(surface)
+            let uv = |i: f64, j: f64| {
+                [
+                    width * i / f64::from(segments),
+                    height * j / f64::from(rows),
+                ]
+            };
+            Grid {
+                num_columns: segments,
+                num_rows: rows,
+                wraps: true,
+                collapses: [false; 2],
+                uv,
+            }
+            .cut(surface)
         }
         Shape::Sphere { .. } => {
             let rows = segments / 2;
-            let uv = |i: f64, j: f64| [width * i / f64::from(segments), height * j / f64::from(rows)];
-            Grid { num_columns: segments, num_rows: rows, wraps: true, collapses: [true; 2], uv }.cut(surface)
+            let uv = |i: f64, j: f64| {
+                [
+                    width * i / f64::from(segments),
+                    height * j / f64::from(rows),
+                ]
+            };
+            Grid {
+                num_columns: segments,
+                num_rows: rows,
+                wraps: true,
+                collapses: [true; 2],
+                uv,
+            }
+            .cut(surface)
         }
-        Shape::Disc { radius_m, inner_radius_m } => {
+        Shape::Disc {
+            radius_m,
+            inner_radius_m,
+        } => {
             let rows = num_steps(radius_m - inner_radius_m, edge_m);
             let uv = |i: f64, j: f64| {
                 let r = inner_radius_m + (radius_m - inner_radius_m) * j / f64::from(rows);
@@ -105,7 +141,14 @@ fn cut(surface: &Surface, edge_m: f64, segments: u32) -> Patch {
                 [radius_m + r * sin, radius_m + r * cos]
             };
             let collapses = [inner_radius_m == 0.0, false];
-            Grid { num_columns: segments, num_rows: rows, wraps: true, collapses, uv }.cut(surface)
+            Grid {
+                num_columns: segments,
+                num_rows: rows,
+                wraps: true,
+                collapses,
+                uv,
+            }
+            .cut(surface)
         }
     }
 }
@@ -113,7 +156,11 @@ fn cut(surface: &Surface, edge_m: f64, segments: u32) -> Patch {
 impl<F: Fn(f64, f64) -> [f64; 2]> Grid<F> {
     fn cut(&self, surface: &Surface) -> Patch {
         let mut patch = Patch::default();
-        let per_row = if self.wraps { self.num_columns } else { self.num_columns + 1 };
+        let per_row = if self.wraps {
+            self.num_columns
+        } else {
+            self.num_columns + 1
+        };
         let mut row_starts = Vec::new();
         let mut num_points = 0u32;
         for j in 0..=self.num_rows {
@@ -122,7 +169,9 @@ impl<F: Fn(f64, f64) -> [f64; 2]> Grid<F> {
             for i in 0..num {
                 let uv = (self.uv)(f64::from(i), f64::from(j));
                 let point = Point3::from(surface.shape.point_at(uv));
-                patch.points_in_world.push(surface.world_from_local.transform_point(&point));
+                patch
+                    .points_in_world
+                    .push(surface.world_from_local.transform_point(&point));
             }
             num_points += num;
         }
@@ -134,7 +183,11 @@ impl<F: Fn(f64, f64) -> [f64; 2]> Grid<F> {
             for i in 0..self.num_columns {
                 let corner = |di: u32, dj: u32| {
                     // Half-way along a row that is one point.
-                    let column = if self.is_collapsed(j + dj) { f64::from(i) + 0.5 } else { f64::from(i + di) };
+                    let column = if self.is_collapsed(j + dj) {
+                        f64::from(i) + 0.5
+                    } else {
+                        f64::from(i + di)
+                    };
                     (index(i + di, j + dj), (self.uv)(column, f64::from(j + dj)))
                 };
                 let [a, b, c, d] = [corner(0, 0), corner(0, 1), corner(1, 1), corner(1, 0)];
@@ -163,9 +216,11 @@ impl Patch {
             .map(|triangle| !self.is_hidden(triangle, scene))
             .collect();
         let mut keep = is_visible.iter();
-        self.triangles.retain(|_| keep.next().copied().unwrap_or(true));
+        self.triangles
+            .retain(|_| keep.next().copied().unwrap_or(true));
         let mut keep = is_visible.iter();
-        self.corners_uv_m.retain(|_| keep.next().copied().unwrap_or(true));
+        self.corners_uv_m
+            .retain(|_| keep.next().copied().unwrap_or(true));
     }
 
     /// Whether the air just above the triangle is inside bodies, at its middle and near its
@@ -177,7 +232,8 @@ impl Patch {
             return false;
         };
         let middle = Point3::from((a.coords + b.coords + c.coords) / 3.0) + normal * LIFT_M;
-        let near_corner = |corner: Point3<f64>| middle + (corner - a + (a - middle) + normal * LIFT_M) * 0.9;
+        let near_corner =
+            |corner: Point3<f64>| middle + (corner - a + (a - middle) + normal * LIFT_M) * 0.9;
         [middle, near_corner(a), near_corner(b), near_corner(c)]
             .iter()
             .all(|point| scene.solids.iter().any(|solid| solid.contains(point)))
@@ -247,7 +303,13 @@ impl Soup {
     }
 
     /// Repeats part of some walls a little before or behind them, as a drifting pose does.
-    fn add_double_walls(&mut self, scene: &Scene, patches: &[Patch], noise: &SynthNoise, seed: u64) {
+    fn add_double_walls(
+        &mut self,
+        scene: &Scene,
+        patches: &[Patch],
+        noise: &SynthNoise,
+        seed: u64,
+    ) {
         const MIN_AREA_M2: f64 = 0.25;
         let choice = Stream::new(seed, "double walls");
         let large: Vec<usize> = scene
@@ -278,7 +340,8 @@ impl Soup {
             };
             for (triangle, corners) in patch.triangles.iter().zip(&patch.corners_uv_m) {
                 let inside = corners.iter().all(|[u, v]| {
-                    (low[0]..=low[0] + 0.5 * w).contains(u) && (low[1]..=low[1] + 0.5 * h).contains(v)
+                    (low[0]..=low[0] + 0.5 * w).contains(u)
+                        && (low[1]..=low[1] + 0.5 * h).contains(v)
                 });
                 if inside {
                     ghost.triangles.push(*triangle);

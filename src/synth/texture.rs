@@ -175,8 +175,8 @@ impl Pattern {
             Self::Plain(color) => *color,
             Self::Gradient { from, to, height_m } => mix(*from, *to, unit(uv[1] / height_m)),
             Self::Checks { colors, size_m } => {
-                let product = square_wave(uv[0], width[0], *size_m)
-                    * square_wave(uv[1], width[1], *size_m);
+                let product =
+                    square_wave(uv[0], width[0], *size_m) * square_wave(uv[1], width[1], *size_m);
                 mix(colors[0], colors[1], unit(0.5 - 0.5 * product))
             }
             Self::Stripes {
@@ -211,7 +211,14 @@ impl Pattern {
                 plank_m,
             } => {
                 let turn = |p: [f64; 2]| if *along_v { [p[1], p[0]] } else { p };
-                wood([*light, *dark], *ring_m, *plank_m, turn(uv), turn(width), salt)
+                wood(
+                    [*light, *dark],
+                    *ring_m,
+                    *plank_m,
+                    turn(uv),
+                    turn(width),
+                    salt,
+                )
             }
             Self::Dots {
                 ground,
@@ -248,7 +255,8 @@ impl Mottle {
             }
             fade * lattice_noise([uv[0] / cell_m, uv[1] / cell_m], salt)
         };
-        let noise = octave(self.cell_m, salt ^ 0x51) + 0.6 * octave(self.cell_m * 0.43, salt ^ 0xa7);
+        let noise =
+            octave(self.cell_m, salt ^ 0x51) + 0.6 * octave(self.cell_m * 0.43, salt ^ 0xa7);
         1.0 + self.amplitude * noise
     }
 }
@@ -301,7 +309,10 @@ fn wood(
     let rings = wood_rings(uv, width, ring_m, plank_salt);
     let fibre_cell = [ring_m * 2.0, ring_m * 0.22];
     let fibre = attenuation([width[0] / fibre_cell[0], width[1] / fibre_cell[1]])
-        * lattice_noise([uv[0] / fibre_cell[0], uv[1] / fibre_cell[1]], plank_salt ^ 3);
+        * lattice_noise(
+            [uv[0] / fibre_cell[0], uv[1] / fibre_cell[1]],
+            plank_salt ^ 3,
+        );
     let tone = (0.42 + 0.26 * rings + 0.2 * fibre + plank_tone).clamp(0.0, 1.0);
     mix(mix(light, dark, tone), dark.map(|c| 0.35 * c), joint)
 }
@@ -362,7 +373,11 @@ fn bands(palette: &[Linear], x: f64, width: f64) -> Linear {
     if low < cell {
         mix(at(cell), at(cell - 1.0), unit((cell - low) / (2.0 * half)))
     } else {
-        mix(at(cell), at(cell + 1.0), unit((high - cell - 1.0) / (2.0 * half)))
+        mix(
+            at(cell),
+            at(cell + 1.0),
+            unit((high - cell - 1.0) / (2.0 * half)),
+        )
     }
 }
 
@@ -446,10 +461,8 @@ mod tests {
                 across_v: false,
             }
             .into(),
-            Texture::from(Pattern::Plain(WHITE)).with_decal(
-                [0.02, 0.01, 0.03, 0.02],
-                Pattern::Plain(srgb(0x20_40_80)),
-            ),
+            Texture::from(Pattern::Plain(WHITE))
+                .with_decal([0.02, 0.01, 0.03, 0.02], Pattern::Plain(srgb(0x20_40_80))),
         ];
         for (index, texture) in textures.iter().enumerate() {
             for k in 0..40 {

@@ -6,10 +6,10 @@ use std::sync::Arc;
 use nalgebra::{Point3, Vector3};
 
 use super::hash::Stream;
+use super::options::{SceneName, SynthError};
 use super::scene::Scene;
 use super::surface::Surface;
 use super::texture::Linear;
-use super::options::{SceneName, SynthError};
 
 /// Key of the MCAP metadata record that describes a synthetic recording.
 pub const METADATA_NAME: &str = "veneer_synth";
@@ -75,7 +75,10 @@ impl GroundTruth {
 
     /// Names of the surfaces, in the order of [`super::SurfaceScore::surface`].
     pub fn surface_names(&self) -> impl Iterator<Item = &str> {
-        self.scene.surfaces.iter().map(|surface| surface.name.as_str())
+        self.scene
+            .surfaces
+            .iter()
+            .map(|surface| surface.name.as_str())
     }
 
     /// The true colour, sRGB on the scale 0–255, averaged in linear light over a square of
@@ -92,7 +95,11 @@ impl GroundTruth {
     }
 
     /// The surface that a point belongs to.
-    pub(super) fn find(&self, point_in_world: &Point3<f64>, normal: &Vector3<f64>) -> Option<Match> {
+    pub(super) fn find(
+        &self,
+        point_in_world: &Point3<f64>,
+        normal: &Vector3<f64>,
+    ) -> Option<Match> {
         let normal = normal.try_normalize(0.0)?;
         let mut best: Option<(f64, Match)> = None;
         for &index in self.cells.near(point_in_world) {
@@ -144,6 +151,40 @@ impl GroundTruth {
                 )
             })
             .collect()
+    }
+}
+
+#[cfg(test)]
+impl GroundTruth {
+    /// Whether the surface that a point belongs to faces a direction to within a cosine.
+    pub(super) fn faces_head_on(
+        &self,
+        point: &Point3<f64>,
+        direction: &Vector3<f64>,
+        cosine: f64,
+    ) -> bool {
+        self.find(point, direction).is_some_and(|found| {
+            let surface = &self.scene.surfaces[found.surface];
+            let normal = surface.shape.tangents(found.uv_m).normal;
+            surface
+                .world_from_local
+                .transform_vector(&normal)
+                .dot(direction)
+                > cosine
+        })
+    }
+}
+
+#[cfg(test)]
+impl Surface {
+    /// Distance from a point, metres.
+    pub(super) fn distance_to(&self, point_in_world: &Point3<f64>) -> f64 {
+        let point = self
+            .world_from_local
+            .inverse()
+            .transform_point(point_in_world)
+            .coords;
+        (self.shape.point_at(self.shape.nearest_uv(&point)) - point).norm()
     }
 }
 

@@ -1,6 +1,8 @@
 //! The truth as a textured mesh of its own: one chart per surface, unrolled.
 
-use crate::atlas::{AtlasLayout, AtlasTexture, ChartId, PlacedChart, TexelRect, TexelSource, TexturePage};
+use crate::atlas::{
+    AtlasLayout, AtlasTexture, ChartId, PlacedChart, TexelRect, TexelSource, TexturePage,
+};
 use crate::mesh::{TriMesh, TriangleId};
 use rayon::prelude::*;
 
@@ -20,7 +22,10 @@ impl GroundTruth {
     /// # Errors
     /// [`SynthError::Option`] when the density is not positive, [`SynthError::Mesh`] when the mesh
     /// cannot be indexed.
-    pub fn atlas(&self, texels_per_m: f64) -> Result<(TriMesh, AtlasLayout, AtlasTexture), SynthError> {
+    pub fn atlas(
+        &self,
+        texels_per_m: f64,
+    ) -> Result<(TriMesh, AtlasLayout, AtlasTexture), SynthError> {
         if !(texels_per_m.is_finite() && texels_per_m > 0.0) {
             return Err(SynthError::Option {
                 name: "texels_per_m",
@@ -33,12 +38,16 @@ impl GroundTruth {
             .iter()
             .flat_map(|surface| surface.shape.uv_size_m())
             .fold(0.0, f64::max);
-        let texels_per_m = texels_per_m.min(f64::from(MAX_PAGE_TEXEL - 2 * GUTTER_TEXEL - 2) / largest_m);
+        let texels_per_m =
+            texels_per_m.min(f64::from(MAX_PAGE_TEXEL - 2 * GUTTER_TEXEL - 2) / largest_m);
         let patches = visible_patches(&self.scene, self.scene.edge_m);
         let placement = place(surfaces, texels_per_m);
         let mesh = join(&patches)?;
         let layout = layout(&patches, &placement, texels_per_m);
-        let mut pages = vec![TexturePage::blank(placement.page_texel, placement.page_texel); placement.num_pages as usize];
+        let mut pages = vec![
+            TexturePage::blank(placement.page_texel, placement.page_texel);
+            placement.num_pages as usize
+        ];
         let charts: Vec<Vec<([u8; 3], TexelSource)>> = surfaces
             .par_iter()
             .zip(&placement.slots)
@@ -69,7 +78,9 @@ fn place(surfaces: &[Surface], texels_per_m: f64) -> Placement {
         .iter()
         .map(|surface| {
             surface.shape.uv_size_m().map(|side| {
-                let texels = (side * texels_per_m).ceil().clamp(1.0, f64::from(MAX_PAGE_TEXEL));
+                let texels = (side * texels_per_m)
+                    .ceil()
+                    .clamp(1.0, f64::from(MAX_PAGE_TEXEL));
                 (texels as u32 + 2 * GUTTER_TEXEL).min(MAX_PAGE_TEXEL)
             })
         })
@@ -91,7 +102,12 @@ fn place(surfaces: &[Surface], texels_per_m: f64) -> Placement {
 }
 
 fn shelves(sizes: &[[u32; 2]], order: &[usize], page_texel: u32) -> (u32, Vec<(u32, TexelRect)>) {
-    let empty = TexelRect { x: 0, y: 0, width: 0, height: 0 };
+    let empty = TexelRect {
+        x: 0,
+        y: 0,
+        width: 0,
+        height: 0,
+    };
     let mut slots = vec![(0, empty); sizes.len()];
     let (mut page, mut x, mut y, mut shelf) = (0, 0, 0, 0);
     for &index in order {
@@ -105,7 +121,15 @@ fn shelves(sizes: &[[u32; 2]], order: &[usize], page_texel: u32) -> (u32, Vec<(u
         if y + height > page_texel {
             (page, x, y, shelf) = (page + 1, 0, 0, 0);
         }
-        slots[index] = (page, TexelRect { x, y, width, height });
+        slots[index] = (
+            page,
+            TexelRect {
+                x,
+                y,
+                width,
+                height,
+            },
+        );
         x += width;
         shelf = shelf.max(height);
     }
@@ -118,7 +142,12 @@ fn join(patches: &[Patch]) -> Result<TriMesh, SynthError> {
     for patch in patches {
         let first = u32::try_from(points.len()).unwrap_or(u32::MAX);
         points.extend_from_slice(&patch.points_in_world);
-        triangles.extend(patch.triangles.iter().map(|t| t.map(|v| v.saturating_add(first))));
+        triangles.extend(
+            patch
+                .triangles
+                .iter()
+                .map(|t| t.map(|v| v.saturating_add(first))),
+        );
     }
     Ok(TriMesh::from_soup(points, triangles)?.0)
 }

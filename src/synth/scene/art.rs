@@ -16,15 +16,32 @@ pub(super) fn geometric_poster(size_m: [f64; 2], pixel_m: f64) -> Arc<Picture> {
     let mut canvas = Canvas::new(size_m, pixel_m, srgb(0xef_e3_c8));
     canvas.disc([0.62 * w, 0.30 * h], 0.26 * w, srgb(0xc9_3a_2b));
     canvas.rect([0.10 * w, 0.34 * h, 0.36 * w, 0.36 * w], srgb(0x24_4f_8f));
-    canvas.ring([0.28 * w, 0.34 * h + 0.18 * w], 0.11 * w, 0.03 * w, srgb(0xef_e3_c8));
+    canvas.ring(
+        [0.28 * w, 0.34 * h + 0.18 * w],
+        0.11 * w,
+        0.03 * w,
+        srgb(0xef_e3_c8),
+    );
     for k in 0..7 {
         let y = (0.60 + 0.022 * f64::from(k)) * h;
         canvas.line([0.1 * w, y], [0.9 * w, y - 0.12 * h], 0.008 * w, srgb(INK));
     }
     canvas.disc([0.80 * w, 0.58 * h], 0.10 * w, srgb(0xe8_b0_2a));
     canvas.text_centred([0.5 * w, 0.75 * h], 0.075 * h, 1.6, srgb(INK), "FORM");
-    canvas.text_centred([0.5 * w, 0.87 * h], 0.028 * h, 1.2, srgb(INK), "colour & surface");
-    canvas.text_centred([0.5 * w, 0.92 * h], 0.022 * h, 1.0, srgb(0x7a_30_24), "1 - 28 February");
+    canvas.text_centred(
+        [0.5 * w, 0.87 * h],
+        0.028 * h,
+        1.2,
+        srgb(INK),
+        "colour & surface",
+    );
+    canvas.text_centred(
+        [0.5 * w, 0.92 * h],
+        0.022 * h,
+        1.0,
+        srgb(0x7a_30_24),
+        "1 - 28 February",
+    );
     frame(&mut canvas, 0.02 * w, srgb(0x22_1c_18));
     canvas.finish()
 }
@@ -36,7 +53,11 @@ pub(super) fn landscape(size_m: [f64; 2], pixel_m: f64) -> Arc<Picture> {
     canvas.gradient([0.0, 0.45 * h], srgb(0x2c_4a_7c), srgb(0xf0_9a_5a));
     canvas.gradient([0.45 * h, h], srgb(0xf3_b4_70), srgb(0x4a_3a_5c));
     canvas.disc([0.66 * w, 0.40 * h], 0.09 * w, srgb(0xff_ee_c4));
-    let ridges = [(0.50, 0.20, 0x8a_6a_8e), (0.62, 0.16, 0x55_4a_78), (0.76, 0.12, 0x2d_30_55)];
+    let ridges = [
+        (0.50, 0.20, 0x8a_6a_8e),
+        (0.62, 0.16, 0x55_4a_78),
+        (0.76, 0.12, 0x2d_30_55),
+    ];
     for (salt, (level, height, color)) in (11..).zip(ridges) {
         canvas.shape([0.0, 0.0, w, h], srgb(color), |x, y| {
             let rough = f64::from(lattice_noise([x / (0.22 * w), 0.5], salt))
@@ -62,12 +83,27 @@ pub(super) fn landscape(size_m: [f64; 2], pixel_m: f64) -> Arc<Picture> {
 pub(super) fn eye_chart(size_m: [f64; 2], pixel_m: f64) -> Arc<Picture> {
     let [w, h] = size_m;
     let mut canvas = Canvas::new(size_m, pixel_m, srgb(0xf7_f6_f0));
-    let rows = ["E", "F P", "T O Z", "L P E D", "P E C F D", "E D F C Z P", "F E L O P Z D", "D E F P O T E C"];
+    let rows = [
+        "E",
+        "F P",
+        "T O Z",
+        "L P E D",
+        "P E C F D",
+        "E D F C Z P",
+        "F E L O P Z D",
+        "D E F P O T E C",
+    ];
     let mut y = 0.05 * h;
     let mut height = 0.16 * h;
     for (number, row) in (1..).zip(rows) {
         canvas.text_centred([0.5 * w, y], height, 1.25, srgb(INK), row);
-        canvas.text([0.93 * w, y + 0.3 * height], 0.018 * h, 1.0, srgb(0xb0_2a_2a), &format!("{number}"));
+        canvas.text(
+            [0.93 * w, y + 0.3 * height],
+            0.018 * h,
+            1.0,
+            srgb(0xb0_2a_2a),
+            &format!("{number}"),
+        );
         y += height + 0.028 * h;
         height *= 0.76;
     }
@@ -92,7 +128,15 @@ pub(super) fn color_chart(size_m: [f64; 2], pixel_m: f64) -> Arc<Picture> {
     for (index, patch) in PATCHES.into_iter().enumerate() {
         let x = left + (index % 6) as f64 * pitch;
         let y = top + (index / 6) as f64 * pitch;
-        canvas.rect([x + 0.06 * pitch, y + 0.06 * pitch, 0.88 * pitch, 0.88 * pitch], srgb(patch));
+        canvas.rect(
+            [
+                x + 0.06 * pitch,
+                y + 0.06 * pitch,
+                0.88 * pitch,
+                0.88 * pitch,
+            ],
+            srgb(patch),
+        );
     }
     canvas.finish()
 }
@@ -101,13 +145,35 @@ pub(super) fn color_chart(size_m: [f64; 2], pixel_m: f64) -> Arc<Picture> {
 pub(super) fn transit_map(size_m: [f64; 2], pixel_m: f64) -> Arc<Picture> {
     let [w, h] = size_m;
     let mut canvas = Canvas::new(size_m, pixel_m, srgb(0xf6_f8_f8));
-    canvas.line([0.0, 0.72 * h], [0.35 * w, 0.62 * h], 0.09 * h, srgb(0xbf_dd_ec));
-    canvas.line([0.35 * w, 0.62 * h], [w, 0.80 * h], 0.09 * h, srgb(0xbf_dd_ec));
+    canvas.line(
+        [0.0, 0.72 * h],
+        [0.35 * w, 0.62 * h],
+        0.09 * h,
+        srgb(0xbf_dd_ec),
+    );
+    canvas.line(
+        [0.35 * w, 0.62 * h],
+        [w, 0.80 * h],
+        0.09 * h,
+        srgb(0xbf_dd_ec),
+    );
     let lines: [(u32, &[[f64; 2]]); 4] = [
-        (0xd8_2a_2a, &[[0.08, 0.30], [0.35, 0.30], [0.55, 0.50], [0.92, 0.50]]),
-        (0x1f_6f_c0, &[[0.20, 0.90], [0.20, 0.60], [0.50, 0.30], [0.85, 0.30]]),
-        (0x2f_9a_4a, &[[0.10, 0.50], [0.40, 0.50], [0.70, 0.80], [0.92, 0.80]]),
-        (0xe8_a0_20, &[[0.70, 0.16], [0.70, 0.62], [0.50, 0.86], [0.36, 0.92]]),
+        (
+            0xd8_2a_2a,
+            &[[0.08, 0.30], [0.35, 0.30], [0.55, 0.50], [0.92, 0.50]],
+        ),
+        (
+            0x1f_6f_c0,
+            &[[0.20, 0.90], [0.20, 0.60], [0.50, 0.30], [0.85, 0.30]],
+        ),
+        (
+            0x2f_9a_4a,
+            &[[0.10, 0.50], [0.40, 0.50], [0.70, 0.80], [0.92, 0.80]],
+        ),
+        (
+            0xe8_a0_20,
+            &[[0.70, 0.16], [0.70, 0.62], [0.50, 0.86], [0.36, 0.92]],
+        ),
     ];
     let at = |[x, y]: [f64; 2]| [x * w, y * h];
     for (color, stops) in lines {
@@ -115,16 +181,33 @@ pub(super) fn transit_map(size_m: [f64; 2], pixel_m: f64) -> Arc<Picture> {
             canvas.line(at(pair[0]), at(pair[1]), 0.018 * w, srgb(color));
         }
     }
-    let names = ["Mill", "Quay", "Opera", "North", "Docks", "Park", "Tower", "Field", "Zoo",
-        "Abbey", "Weir", "Hill", "Gate", "Lock", "Cross", "Yard"];
-    for (name, stop) in names.iter().zip(lines.iter().flat_map(|(_, stops)| stops.iter())) {
+    let names = [
+        "Mill", "Quay", "Opera", "North", "Docks", "Park", "Tower", "Field", "Zoo", "Abbey",
+        "Weir", "Hill", "Gate", "Lock", "Cross", "Yard",
+    ];
+    for (name, stop) in names
+        .iter()
+        .zip(lines.iter().flat_map(|(_, stops)| stops.iter()))
+    {
         let [x, y] = at(*stop);
         canvas.disc([x, y], 0.018 * w, srgb(INK));
         canvas.disc([x, y], 0.011 * w, srgb(0xff_ff_ff));
-        canvas.text([x + 0.02 * w, y - 0.04 * h], 0.024 * h, 1.2, srgb(INK), name);
+        canvas.text(
+            [x + 0.02 * w, y - 0.04 * h],
+            0.024 * h,
+            1.2,
+            srgb(INK),
+            name,
+        );
     }
     canvas.rect([0.0, 0.0, w, 0.09 * h], srgb(0x1d_3a_6a));
-    canvas.text([0.05 * w, 0.022 * h], 0.045 * h, 1.4, srgb(0xff_ff_ff), "CITY LINES");
+    canvas.text(
+        [0.05 * w, 0.022 * h],
+        0.045 * h,
+        1.4,
+        srgb(0xff_ff_ff),
+        "CITY LINES",
+    );
     frame(&mut canvas, 0.012 * w, srgb(0x1d_3a_6a));
     canvas.finish()
 }
@@ -145,12 +228,30 @@ pub(super) fn grid_painting(size_m: [f64; 2], pixel_m: f64) -> Arc<Picture> {
     }
     let bar = 0.022 * w;
     for x in [0.14, 0.30, 0.70, 0.86] {
-        let (from, to) = if x == 0.14 { (0.42, 1.0) } else if x == 0.86 { (0.0, 0.6) } else { (0.0, 1.0) };
-        canvas.rect([x * w - bar / 2.0, from * h, bar, (to - from) * h], srgb(INK));
+        let (from, to) = if x == 0.14 {
+            (0.42, 1.0)
+        } else if x == 0.86 {
+            (0.0, 0.6)
+        } else {
+            (0.0, 1.0)
+        };
+        canvas.rect(
+            [x * w - bar / 2.0, from * h, bar, (to - from) * h],
+            srgb(INK),
+        );
     }
     for y in [0.24, 0.42, 0.60, 0.74, 0.82] {
-        let (from, to) = if y == 0.24 { (0.3, 1.0) } else if y == 0.74 { (0.0, 0.3) } else { (0.0, 1.0) };
-        canvas.rect([from * w, y * h - bar / 2.0, (to - from) * w, bar], srgb(INK));
+        let (from, to) = if y == 0.24 {
+            (0.3, 1.0)
+        } else if y == 0.74 {
+            (0.0, 0.3)
+        } else {
+            (0.0, 1.0)
+        };
+        canvas.rect(
+            [from * w, y * h - bar / 2.0, (to - from) * w, bar],
+            srgb(INK),
+        );
     }
     frame(&mut canvas, 0.02 * w, srgb(0xd8_d2_c4));
     canvas.finish()
@@ -161,20 +262,52 @@ pub(super) fn calendar(size_m: [f64; 2], pixel_m: f64) -> Arc<Picture> {
     let [w, h] = size_m;
     let mut canvas = Canvas::new(size_m, pixel_m, srgb(0xfb_fa_f6));
     canvas.rect([0.0, 0.0, w, 0.16 * h], srgb(0xa8_32_32));
-    canvas.text_centred([0.5 * w, 0.045 * h], 0.07 * h, 1.4, srgb(0xff_ff_ff), "OCTOBER");
+    canvas.text_centred(
+        [0.5 * w, 0.045 * h],
+        0.07 * h,
+        1.4,
+        srgb(0xff_ff_ff),
+        "OCTOBER",
+    );
     for column in 0..7usize {
         let x = (column as f64 + 0.5) * w / 7.0;
-        canvas.text_centred([x, 0.19 * h], 0.032 * h, 1.3, srgb(0x60_60_68), &"MTWTFSS"[column..=column]);
+        canvas.text_centred(
+            [x, 0.19 * h],
+            0.032 * h,
+            1.3,
+            srgb(0x60_60_68),
+            &"MTWTFSS"[column..=column],
+        );
     }
     for day in 1..=31u32 {
         let cell = day + 2;
         let x = (f64::from(cell % 7) + 0.5) * w / 7.0;
         let y = 0.26 * h + f64::from(cell / 7) * 0.145 * h;
-        let ink = if cell % 7 >= 5 { srgb(0xc0_30_30) } else { srgb(INK) };
+        let ink = if cell % 7 >= 5 {
+            srgb(0xc0_30_30)
+        } else {
+            srgb(INK)
+        };
         canvas.text_centred([x, y + 0.035 * h], 0.055 * h, 1.2, ink, &day.to_string());
-        canvas.rect([x - w / 14.0 + 0.004 * w, y + 0.125 * h, w / 7.0 - 0.008 * w, 0.005 * h], srgb(0xc8_c8_cc));
+        canvas.rect(
+            [
+                x - w / 14.0 + 0.004 * w,
+                y + 0.125 * h,
+                w / 7.0 - 0.008 * w,
+                0.005 * h,
+            ],
+            srgb(0xc8_c8_cc),
+        );
     }
-    canvas.ring([0.5 / 7.0 * w + 3.0 * w / 7.0, 0.26 * h + 0.145 * h * 2.0 + 0.06 * h], 0.055 * w, 0.008 * w, srgb(0x2a_60_c0));
+    canvas.ring(
+        [
+            0.5 / 7.0 * w + 3.0 * w / 7.0,
+            0.26 * h + 0.145 * h * 2.0 + 0.06 * h,
+        ],
+        0.055 * w,
+        0.008 * w,
+        srgb(0x2a_60_c0),
+    );
     canvas.finish()
 }
 
@@ -185,13 +318,22 @@ pub(super) fn clock_face(diameter_m: f64, pixel_m: f64) -> Arc<Picture> {
     canvas.disc([r, r], 0.90 * r, srgb(0xf8_f6_ee));
     for minute in 0..60 {
         let (sin, cos) = (TAU * f64::from(minute) / 60.0).sin_cos();
-        let (from, pen) = if minute % 5 == 0 { (0.72, 0.035) } else { (0.80, 0.012) };
+        let (from, pen) = if minute % 5 == 0 {
+            (0.72, 0.035)
+        } else {
+            (0.80, 0.012)
+        };
         let at = |k: f64| [r + k * r * sin, r - k * r * cos];
         canvas.line(at(from), at(0.85), pen * r, srgb(INK));
     }
     for (angle, length, pen) in [(-0.168, 0.45, 0.06), (0.173, 0.66, 0.04)] {
         let (sin, cos) = (TAU * angle).sin_cos();
-        canvas.line([r, r], [r + length * r * sin, r - length * r * cos], pen * r, srgb(INK));
+        canvas.line(
+            [r, r],
+            [r + length * r * sin, r - length * r * cos],
+            pen * r,
+            srgb(INK),
+        );
     }
     canvas.disc([r, r], 0.05 * r, srgb(0xc0_30_30));
     canvas.finish()
@@ -226,7 +368,8 @@ pub(super) fn printed_page(size_m: [f64; 2], pixel_m: f64, title: &str) -> Arc<P
     let y0 = 0.58 * h;
     canvas.rect([0.08 * w, y0, 0.40 * w, 0.24 * h], srgb(0xdf_e7_ec));
     for k in 0..8 {
-        let height = (0.05 + 0.15 * (0.5 + 0.5 * f64::from(lattice_noise([f64::from(k), 0.0], 5)))) * h;
+        let height =
+            (0.05 + 0.15 * (0.5 + 0.5 * f64::from(lattice_noise([f64::from(k), 0.0], 5)))) * h;
         let x = (0.10 + 0.046 * f64::from(k)) * w;
         let color = if k % 2 == 0 { 0x2a_6a_9a } else { 0xd0_7a_2a };
         canvas.rect([x, y0 + 0.23 * h - height, 0.034 * w, height], srgb(color));
@@ -238,7 +381,13 @@ pub(super) fn printed_page(size_m: [f64; 2], pixel_m: f64, title: &str) -> Arc<P
     }
     for line in 0..3 {
         let sentence = SENTENCES[line + 4];
-        canvas.text([0.08 * w, (0.855 + 0.034 * line as f64) * h], cap, 1.15, srgb(INK), sentence);
+        canvas.text(
+            [0.08 * w, (0.855 + 0.034 * line as f64) * h],
+            cap,
+            1.15,
+            srgb(INK),
+            sentence,
+        );
     }
     canvas.finish()
 }
@@ -256,7 +405,11 @@ pub(super) fn label(
     canvas.rect([0.0, 0.87 * h, w, 0.03 * h], srgb(accent));
     let cap = (0.16 * h).min(0.8 * w / (title.len().max(1) as f64 * 6.0) * 7.0);
     canvas.disc([0.5 * w, 0.60 * h], 0.17 * h.min(w), srgb(accent));
-    canvas.disc([0.5 * w + 0.05 * w, 0.60 * h - 0.03 * h], 0.08 * h.min(w), srgb(ground));
+    canvas.disc(
+        [0.5 * w + 0.05 * w, 0.60 * h - 0.03 * h],
+        0.08 * h.min(w),
+        srgb(ground),
+    );
     canvas.text_centred([0.5 * w, 0.20 * h], cap, 1.5, srgb(ink), title);
     let small = (0.055 * h).min(0.84 * w / (line.len().max(1) as f64 * 6.0) * 7.0);
     canvas.text_centred([0.5 * w, 0.79 * h], small, 1.2, srgb(ink), line);
@@ -290,7 +443,13 @@ pub(super) fn wrapped_label(
 }
 
 /// The back of a book, read with the head tilted: title along the height.
-pub(super) fn spine([w, h]: [f64; 2], pixel_m: f64, ground: Linear, ink: Linear, title: &str) -> Arc<Picture> {
+pub(super) fn spine(
+    [w, h]: [f64; 2],
+    pixel_m: f64,
+    ground: Linear,
+    ink: Linear,
+    title: &str,
+) -> Arc<Picture> {
     // Painted lying, then turned: text runs downwards on the standing book.
     let mut canvas = Canvas::new([h, w], pixel_m, ground);
     for x in [0.05, 0.09, 0.91] {
@@ -307,27 +466,50 @@ pub(super) fn window_view(size_m: [f64; 2], pixel_m: f64) -> Arc<Picture> {
     let mut canvas = Canvas::new(size_m, pixel_m, [0.0; 3]);
     canvas.gradient([0.0, 0.62 * h], srgb(0x7a_b0_e4), srgb(0xdf_ec_f2));
     canvas.gradient([0.62 * h, h], srgb(0x9a_bb_62), srgb(0x56_88_38));
-    for (salt, [x, y, size]) in (0u32..).zip([[0.2, 0.2, 0.1], [0.32, 0.17, 0.08], [0.74, 0.3, 0.11], [0.86, 0.26, 0.07]]) {
+    for (salt, [x, y, size]) in (0u32..).zip([
+        [0.2, 0.2, 0.1],
+        [0.32, 0.17, 0.08],
+        [0.74, 0.3, 0.11],
+        [0.86, 0.26, 0.07],
+    ]) {
         for k in 0..4 {
             let shift = f64::from(lattice_noise([f64::from(k) + 0.5, 0.5], salt));
             let centre = [(x + 0.05 * f64::from(k) - 0.07) * w, (y + 0.03 * shift) * h];
-            canvas.disc(centre, size * w * (0.55 + 0.3 * shift.abs()), srgb(0xf6_f8_fa));
+            canvas.disc(
+                centre,
+                size * w * (0.55 + 0.3 * shift.abs()),
+                srgb(0xf6_f8_fa),
+            );
         }
     }
     canvas.shape([0.0, 0.5 * h, w, h], srgb(0x6f_98_58), |x, y| {
         0.66 * h - 0.05 * h * f64::from(lattice_noise([3.0 * x / w, 0.5], 3)) - y
     });
     for [x, y, size] in [[0.16, 0.70, 0.09], [0.60, 0.66, 0.06], [0.84, 0.76, 0.12]] {
-        canvas.line([x * w, y * h], [x * w, (y + size) * h], 0.018 * w, srgb(0x5a_42_2c));
+        canvas.line(
+            [x * w, y * h],
+            [x * w, (y + size) * h],
+            0.018 * w,
+            srgb(0x5a_42_2c),
+        );
         canvas.disc([x * w, y * h], size * 0.75 * w, srgb(0x3a_6c_30));
-        canvas.disc([(x - 0.02) * w, (y - 0.02) * h], size * 0.45 * w, srgb(0x55_8a_42));
+        canvas.disc(
+            [(x - 0.02) * w, (y - 0.02) * h],
+            size * 0.45 * w,
+            srgb(0x55_8a_42),
+        );
     }
     let bar = 0.05 * w;
     let white = srgb(0xf2_f0_ea);
     frame(&mut canvas, bar, white);
     canvas.rect([0.5 * w - bar / 2.0, 0.0, bar, h], white);
     canvas.rect([0.0, 0.40 * h - bar / 2.0, w, bar], white);
-    canvas.line([0.53 * w, 0.52 * h], [0.53 * w, 0.58 * h], 0.012 * w, srgb(0x8a_8a_8a));
+    canvas.line(
+        [0.53 * w, 0.52 * h],
+        [0.53 * w, 0.58 * h],
+        0.012 * w,
+        srgb(0x8a_8a_8a),
+    );
     canvas.finish()
 }
 
@@ -339,11 +521,24 @@ pub(super) fn door([w, h]: [f64; 2], pixel_m: f64) -> Arc<Picture> {
             let panel = [x * w, y * h, 0.33 * w, height * h];
             canvas.rect(panel, srgb(0xbd_b5_a4));
             let inset = 0.02 * w;
-            canvas.rect([panel[0] + inset, panel[1] + inset, panel[2] - 2.0 * inset, panel[3] - 2.0 * inset], srgb(0xda_d3_c4));
+            canvas.rect(
+                [
+                    panel[0] + inset,
+                    panel[1] + inset,
+                    panel[2] - 2.0 * inset,
+                    panel[3] - 2.0 * inset,
+                ],
+                srgb(0xda_d3_c4),
+            );
         }
     }
     canvas.disc([0.90 * w, 0.48 * h], 0.035 * w, srgb(0x8a_78_40));
-    canvas.line([0.90 * w, 0.48 * h], [0.79 * w, 0.48 * h], 0.025 * w, srgb(0xa8_92_50));
+    canvas.line(
+        [0.90 * w, 0.48 * h],
+        [0.79 * w, 0.48 * h],
+        0.025 * w,
+        srgb(0xa8_92_50),
+    );
     frame(&mut canvas, 0.03 * w, srgb(0xa8_a0_90));
     canvas.finish()
 }
@@ -351,9 +546,17 @@ pub(super) fn door([w, h]: [f64; 2], pixel_m: f64) -> Arc<Picture> {
 /// A woven rug with a border, lozenges and a field.
 pub(super) fn rug([w, h]: [f64; 2], pixel_m: f64) -> Arc<Picture> {
     let mut canvas = Canvas::new([w, h], pixel_m, srgb(0x7c_20_26));
-    let bands = [(0.02, 0xe6_d4_ae), (0.05, 0x1e_2e_52), (0.17, 0xe6_d4_ae), (0.19, 0x8e_2a_2c)];
+    let bands = [
+        (0.02, 0xe6_d4_ae),
+        (0.05, 0x1e_2e_52),
+        (0.17, 0xe6_d4_ae),
+        (0.19, 0x8e_2a_2c),
+    ];
     for (inset, color) in bands {
-        canvas.rect([inset, inset, w - 2.0 * inset, h - 2.0 * inset], srgb(color));
+        canvas.rect(
+            [inset, inset, w - 2.0 * inset, h - 2.0 * inset],
+            srgb(color),
+        );
     }
     for (length, is_top) in [(w, true), (h, false)] {
         let num = ((length - 0.22) / 0.11).floor().max(1.0);
@@ -361,7 +564,11 @@ pub(super) fn rug([w, h]: [f64; 2], pixel_m: f64) -> Arc<Picture> {
         let mut along = 0.11 + pitch / 2.0;
         let mut odd = false;
         while along < length - 0.11 {
-            let color = if odd { srgb(0xd8_9a_3a) } else { srgb(0xc8_4a_3a) };
+            let color = if odd {
+                srgb(0xd8_9a_3a)
+            } else {
+                srgb(0xc8_4a_3a)
+            };
             for side in [0.11, if is_top { h - 0.11 } else { w - 0.11 }] {
                 let centre = if is_top { [along, side] } else { [side, along] };
                 lozenge(&mut canvas, centre, [0.04, 0.04], color);
@@ -372,9 +579,20 @@ pub(super) fn rug([w, h]: [f64; 2], pixel_m: f64) -> Arc<Picture> {
         }
     }
     let centre = [w / 2.0, h / 2.0];
-    let medallion = [(0.34, 0x1e_2e_52), (0.29, 0xe6_d4_ae), (0.26, 0xb8_40_34), (0.16, 0x2e_5a_60), (0.08, 0xe8_c0_60)];
+    let medallion = [
+        (0.34, 0x1e_2e_52),
+        (0.29, 0xe6_d4_ae),
+        (0.26, 0xb8_40_34),
+        (0.16, 0x2e_5a_60),
+        (0.08, 0xe8_c0_60),
+    ];
     for (scale, color) in medallion {
-        lozenge(&mut canvas, centre, [scale * (w - 0.3), scale * (h - 0.3) * 1.2], srgb(color));
+        lozenge(
+            &mut canvas,
+            centre,
+            [scale * (w - 0.3), scale * (h - 0.3) * 1.2],
+            srgb(color),
+        );
     }
     for k in 0..4 {
         let x = if k % 2 == 0 { 0.36 } else { w - 0.36 };
@@ -400,14 +618,26 @@ pub(super) fn globe_map(radius_m: f64, pixel_m: f64) -> Arc<Picture> {
         at(1.6, 2) + 0.5 * at(3.7, 4) - 0.25
     };
     let slope_m = 0.35 * radius_m;
-    canvas.shape([0.0, 0.0, w, h], srgb(0x6a_9a_4a), |x, y| -land(x, y) * slope_m);
-    canvas.shape([0.0, 0.0, w, h], srgb(0xc8_a8_62), |x, y| (0.45 - land(x, y)) * slope_m);
-    canvas.shape([0.0, 0.0, w, h], srgb(0xf2_f4_f6), |_, y| y.min(h - y) - 0.09 * h);
+    canvas.shape([0.0, 0.0, w, h], srgb(0x6a_9a_4a), |x, y| {
+        -land(x, y) * slope_m
+    });
+    canvas.shape([0.0, 0.0, w, h], srgb(0xc8_a8_62), |x, y| {
+        (0.45 - land(x, y)) * slope_m
+    });
+    canvas.shape([0.0, 0.0, w, h], srgb(0xf2_f4_f6), |_, y| {
+        y.min(h - y) - 0.09 * h
+    });
     for k in 0..12 {
-        canvas.rect([f64::from(k) * w / 12.0 - 0.0006, 0.0, 0.0012, h], srgb(0x1a_3a_5a));
+        canvas.rect(
+            [f64::from(k) * w / 12.0 - 0.0006, 0.0, 0.0012, h],
+            srgb(0x1a_3a_5a),
+        );
     }
     for k in 1..6 {
-        canvas.rect([0.0, f64::from(k) * h / 6.0 - 0.0006, w, 0.0012], srgb(0x1a_3a_5a));
+        canvas.rect(
+            [0.0, f64::from(k) * h / 6.0 - 0.0006, w, 0.0012],
+            srgb(0x1a_3a_5a),
+        );
     }
     canvas.finish()
 }
@@ -415,14 +645,28 @@ pub(super) fn globe_map(radius_m: f64, pixel_m: f64) -> Arc<Picture> {
 /// Keys in rows.
 pub(super) fn keyboard([w, h]: [f64; 2], pixel_m: f64) -> Arc<Picture> {
     let mut canvas = Canvas::new([w, h], pixel_m, srgb(0xb9_bc_c2));
-    let rows = ["1234567890-=", "QWERTYUIOP[]", "ASDFGHJKL;'#", "ZXCVBNM,./@!"];
+    let rows = [
+        "1234567890-=",
+        "QWERTYUIOP[]",
+        "ASDFGHJKL;'#",
+        "ZXCVBNM,./@!",
+    ];
     let key = 0.94 * w / 12.0;
     for (j, row) in rows.iter().enumerate() {
         for (i, letter) in row.char_indices() {
             let x = 0.03 * w + i as f64 * key;
             let y = 0.06 * h + j as f64 * key;
-            canvas.rect([x + 0.06 * key, y + 0.06 * key, 0.88 * key, 0.88 * key], srgb(0x2c_2e_34));
-            canvas.text([x + 0.32 * key, y + 0.26 * key], 0.45 * key, 1.2, srgb(0xf0_f0_f0), &letter.to_string());
+            canvas.rect(
+                [x + 0.06 * key, y + 0.06 * key, 0.88 * key, 0.88 * key],
+                srgb(0x2c_2e_34),
+            );
+            canvas.text(
+                [x + 0.32 * key, y + 0.26 * key],
+                0.45 * key,
+                1.2,
+                srgb(0xf0_f0_f0),
+                &letter.to_string(),
+            );
         }
     }
     canvas.rect([0.32 * w, 0.62 * h, 0.36 * w, 0.30 * h], srgb(0x9a_9d_a4));
@@ -434,15 +678,29 @@ pub(super) fn screen([w, h]: [f64; 2], pixel_m: f64, random: Stream) -> Arc<Pict
     let mut canvas = Canvas::new([w, h], pixel_m, srgb(0x14_16_1a));
     canvas.rect([0.03 * w, 0.04 * h, 0.94 * w, 0.92 * h], srgb(0x1c_26_38));
     canvas.rect([0.03 * w, 0.04 * h, 0.94 * w, 0.08 * h], srgb(0x3a_4a_6a));
-    canvas.text([0.06 * w, 0.06 * h], 0.04 * h, 1.2, srgb(0xe8_ee_f8), "atlas.rs");
-    let words = ["fn", "let", "mesh", "texel", "= 0;", "for", "chart", "+=", "uv", "{ }", "pub", "pose"];
+    canvas.text(
+        [0.06 * w, 0.06 * h],
+        0.04 * h,
+        1.2,
+        srgb(0xe8_ee_f8),
+        "atlas.rs",
+    );
+    let words = [
+        "fn", "let", "mesh", "texel", "= 0;", "for", "chart", "+=", "uv", "{ }", "pub", "pose",
+    ];
     let inks = [0xe0_70_70, 0x80_c0_f0, 0xe8_d8_80, 0x90_d0_90, 0xd0_a0_e0];
     for line in 0..10u64 {
         let mut x = (0.06 + 0.04 * (line % 3) as f64) * w;
         for word in 0..4u64 {
             let pick = random.bits(line * 16 + word);
             let text = words[(pick % 12) as usize];
-            canvas.text([x, (0.17 + 0.077 * line as f64) * h], 0.036 * h, 1.2, srgb(inks[(pick / 12 % 5) as usize]), text);
+            canvas.text(
+                [x, (0.17 + 0.077 * line as f64) * h],
+                0.036 * h,
+                1.2,
+                srgb(inks[(pick / 12 % 5) as usize]),
+                text,
+            );
             x += (text.len() as f64 + 1.0) * 6.0 / 7.0 * 0.036 * h;
         }
     }

@@ -54,7 +54,14 @@ pub(super) fn table(
 ) {
     let top_m = 0.04;
     let at = |x: f64, y: f64, z: f64| *world_from_table * standing([x, y, z], 0.0);
-    wooden(scene, "table top", &at(0.0, 0.0, h - top_m), [w, d, top_m], tone, 40);
+    wooden(
+        scene,
+        "table top",
+        &at(0.0, 0.0, h - top_m),
+        [w, d, top_m],
+        tone,
+        40,
+    );
     let leg = 0.06;
     for (salt, [sx, sy]) in (41..).zip([[-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0], [1.0, 1.0]]) {
         let foot = at(sx * (w / 2.0 - 0.08), sy * (d / 2.0 - 0.08), 0.0);
@@ -63,7 +70,12 @@ pub(super) fn table(
 }
 
 /// A chair that faces −y, its frame on the floor under its seat.
-pub(super) fn chair(scene: &mut SceneBuilder, world_from_chair: &RigidTransform, salt: u32, seat: u32) {
+pub(super) fn chair(
+    scene: &mut SceneBuilder,
+    world_from_chair: &RigidTransform,
+    salt: u32,
+    seat: u32,
+) {
     let tone = [0xb8_86_50, 0x7a_52_2c];
     let at = |x: f64, y: f64, z: f64| *world_from_chair * standing([x, y, z], 0.0);
     let (w, d, h) = (0.42, 0.42, 0.45);
@@ -77,20 +89,48 @@ pub(super) fn chair(scene: &mut SceneBuilder, world_from_chair: &RigidTransform,
         "chair seat",
         &at(0.0, 0.0, h - 0.05),
         [w, d, 0.05],
-        [frame.clone(), frame.clone(), frame.clone(), frame.clone(), cloth.salted(salt), frame],
+        [
+            frame.clone(),
+            frame.clone(),
+            frame.clone(),
+            frame.clone(),
+            cloth.salted(salt),
+            frame,
+        ],
     );
     for (index, [sx, sy]) in (0..).zip([[-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0], [1.0, 1.0]]) {
         let foot = at(sx * (w / 2.0 - 0.03), sy * (d / 2.0 - 0.03), 0.0);
-        wooden(scene, "chair leg", &foot, [0.045, 0.045, h - 0.05], tone, salt * 16 + index);
+        wooden(
+            scene,
+            "chair leg",
+            &foot,
+            [0.045, 0.045, h - 0.05],
+            tone,
+            salt * 16 + index,
+        );
     }
     let back_y = d / 2.0 - 0.025;
     for (index, x) in (4..).zip([-w / 2.0 + 0.025, w / 2.0 - 0.025]) {
         let post = at(x, back_y, h);
-        wooden(scene, "chair post", &post, [0.045, 0.045, 0.45], tone, salt * 16 + index);
+        wooden(
+            scene,
+            "chair post",
+            &post,
+            [0.045, 0.045, 0.45],
+            tone,
+            salt * 16 + index,
+        );
     }
     for (index, z) in (6..).zip([0.16, 0.32]) {
         let slat = at(0.0, back_y, h + z);
-        wooden(scene, "chair slat", &slat, [w - 0.095, 0.03, 0.10], tone, salt * 16 + index);
+        wooden(
+            scene,
+            "chair slat",
+            &slat,
+            [w - 0.095, 0.03, 0.10],
+            tone,
+            salt * 16 + index,
+        );
     }
 }
 
@@ -106,7 +146,14 @@ pub(super) fn bookshelf(
     let at = |x: f64, y: f64, z: f64| *world_from_shelf * standing([x, y, z], 0.0);
     let side = 0.03;
     for (salt, x) in (60..).zip([-(w - side) / 2.0, (w - side) / 2.0]) {
-        wooden(scene, "shelf side", &at(x, 0.0, 0.0), [side, d, h], tone, salt);
+        wooden(
+            scene,
+            "shelf side",
+            &at(x, 0.0, 0.0),
+            [side, d, h],
+            tone,
+            salt,
+        );
     }
     let inner = w - 2.0 * side;
     let back = at(0.0, d / 2.0 - 0.01, 0.0);
@@ -115,10 +162,22 @@ pub(super) fn bookshelf(
     for row in 0..num_boards {
         let z = f64::from(row) * pitch;
         let shelf = at(0.0, -0.01, z);
-        wooden(scene, "shelf board", &shelf, [inner, d - 0.02, side], tone, 64 + row);
+        wooden(
+            scene,
+            "shelf board",
+            &shelf,
+            [inner, d - 0.02, side],
+            tone,
+            64 + row,
+        );
         if row + 1 < num_boards {
             let from_left = at(-inner / 2.0, -0.01, z + side);
-            row_of_books(scene, &from_left, [inner, d - 0.02, pitch - side], random.sub(u64::from(row)));
+            row_of_books(
+                scene,
+                &from_left,
+                [inner, d - 0.02, pitch - side],
+                random.sub(u64::from(row)),
+            );
         }
     }
 }
@@ -140,10 +199,17 @@ fn row_of_books(
         }
         let d = random.range(number + 1, 0.55, 0.75) * depth_m;
         let h = random.range(number + 2, 0.62, 0.92) * height_m;
-        let at = *world_from_row
-            * standing([x + w / 2.0, -depth_m / 2.0 + 0.02 + d / 2.0, 0.0], 0.0);
+        let at =
+            *world_from_row * standing([x + w / 2.0, -depth_m / 2.0 + 0.02 + d / 2.0, 0.0], 0.0);
         let index = (random.bits(number + 3) % 100_000) as usize;
-        standing_book(scene, &format!("book {index}"), &at, [w, d, h], index, 0.0012);
+        standing_book(
+            scene,
+            &format!("book {index}"),
+            &at,
+            [w, d, h],
+            index,
+            0.0012,
+        );
         x += w + 0.001;
         number += 4;
     }
@@ -158,21 +224,46 @@ pub(super) fn sofa(scene: &mut SceneBuilder, world_from_sofa: &RigidTransform, w
     })
     .mottled(0.10, 0.035);
     let (depth, arm) = (0.85, 0.18);
-    scene.cuboid("sofa base", &at(0.0, 0.0, 0.0), [w, depth, 0.24], all_faces(&cloth, 1));
+    scene.cuboid(
+        "sofa base",
+        &at(0.0, 0.0, 0.0),
+        [w, depth, 0.24],
+        all_faces(&cloth, 1),
+    );
     for (salt, x) in (2..).zip([-(w - arm) / 2.0, (w - arm) / 2.0]) {
-        scene.cuboid("sofa arm", &at(x, 0.0, 0.24), [arm, depth, 0.34], all_faces(&cloth, salt));
+        scene.cuboid(
+            "sofa arm",
+            &at(x, 0.0, 0.24),
+            [arm, depth, 0.34],
+            all_faces(&cloth, salt),
+        );
     }
     let inner = w - 2.0 * arm;
     let back = at(0.0, depth / 2.0 - 0.11, 0.24);
-    scene.cuboid("sofa back", &back, [inner, 0.22, 0.56], all_faces(&cloth, 4));
+    scene.cuboid(
+        "sofa back",
+        &back,
+        [inner, 0.22, 0.56],
+        all_faces(&cloth, 4),
+    );
     let seat_depth = depth - 0.22;
     for (salt, sx) in (5..).zip([-0.25, 0.25]) {
         let seat = at(sx * inner, -0.11, 0.24);
-        scene.cuboid("sofa seat", &seat, [inner / 2.0 - 0.01, seat_depth, 0.16], all_faces(&cloth, salt));
+        scene.cuboid(
+            "sofa seat",
+            &seat,
+            [inner / 2.0 - 0.01, seat_depth, 0.16],
+            all_faces(&cloth, salt),
+        );
     }
     let cushions = [
         Texture::from(Pattern::Stripes {
-            palette: vec![srgb(0xe8_d8_b0), srgb(0xb8_4a_30), srgb(0xe8_d8_b0), srgb(0x2a_4a_6a)],
+            palette: vec![
+                srgb(0xe8_d8_b0),
+                srgb(0xb8_4a_30),
+                srgb(0xe8_d8_b0),
+                srgb(0x2a_4a_6a),
+            ],
             width_m: 0.03,
             across_v: false,
         }),
@@ -191,9 +282,18 @@ pub(super) fn sofa(scene: &mut SceneBuilder, world_from_sofa: &RigidTransform, w
     ];
     for (index, (cushion, x)) in (0u32..).zip(cushions.into_iter().zip([-0.36, 0.02, 0.34])) {
         let place = *world_from_sofa
-            * tilted([x * inner, 0.13, 0.415], 0.12 * (f64::from(index) - 1.0), -0.30);
+            * tilted(
+                [x * inner, 0.13, 0.415],
+                0.12 * (f64::from(index) - 1.0),
+                -0.30,
+            );
         let cushion = cushion.mottled(0.08, 0.015);
-        scene.cuboid("cushion", &place, [0.42, 0.10, 0.36], all_faces(&cushion, 20 + index));
+        scene.cuboid(
+            "cushion",
+            &place,
+            [0.42, 0.10, 0.36],
+            all_faces(&cushion, 20 + index),
+        );
     }
 }
 
@@ -201,7 +301,13 @@ pub(super) fn sofa(scene: &mut SceneBuilder, world_from_sofa: &RigidTransform, w
 pub(super) fn floor_lamp(scene: &mut SceneBuilder, world_from_lamp: &RigidTransform) {
     let metal = Texture::from(Pattern::Plain(srgb(0x4a_44_3c))).mottled(0.1, 0.02);
     let foot = [metal.clone(), metal.clone(), metal.clone()];
-    scene.cylinder("lamp foot", world_from_lamp, [0.16, 0.15], 0.03, foot.clone());
+    scene.cylinder(
+        "lamp foot",
+        world_from_lamp,
+        [0.16, 0.15],
+        0.03,
+        foot.clone(),
+    );
     let pole = *world_from_lamp * standing([0.0, 0.0, 0.03], 0.0);
     scene.cylinder("lamp pole", &pole, [0.015, 0.015], 1.42, foot);
     let shade = Texture::from(Pattern::Stripes {
@@ -213,7 +319,13 @@ pub(super) fn floor_lamp(scene: &mut SceneBuilder, world_from_lamp: &RigidTransf
     .luminous();
     let place = *world_from_lamp * standing([0.0, 0.0, 1.42], 0.0);
     let glow = plain(0xff_f4_d8).luminous();
-    scene.cylinder("lamp shade", &place, [0.24, 0.15], 0.30, [shade, glow.clone(), glow]);
+    scene.cylinder(
+        "lamp shade",
+        &place,
+        [0.24, 0.15],
+        0.30,
+        [shade, glow.clone(), glow],
+    );
 }
 
 /// A plant: pot, stem and three leafy balls.
@@ -226,12 +338,29 @@ pub(super) fn plant(scene: &mut SceneBuilder, world_from_plant: &RigidTransform,
     .mottled(0.1, 0.02);
     let soil = Texture::from(Pattern::Plain(srgb(0x3a_2a_1c))).mottled(0.4, 0.02);
     let pot_m = 0.30 * size;
-    scene.cylinder("pot", world_from_plant, [0.11 * size, 0.15 * size], pot_m, [pot, soil, plain(0x80_40_28)]);
-    let at = |x: f64, y: f64, z: f64| *world_from_plant * standing([x * size, y * size, z * size], 0.4);
+    scene.cylinder(
+        "pot",
+        world_from_plant,
+        [0.11 * size, 0.15 * size],
+        pot_m,
+        [pot, soil, plain(0x80_40_28)],
+    );
+    let at =
+        |x: f64, y: f64, z: f64| *world_from_plant * standing([x * size, y * size, z * size], 0.4);
     let bark = wood([0x7a_5a_38, 0x4a_32_1c], 0.02, true);
     let stem = at(0.0, 0.0, 0.30);
-    scene.cylinder("stem", &stem, [0.025 * size, 0.02 * size], 0.35 * size, [bark.clone(), bark.clone(), bark]);
-    let balls = [([0.0, 0.0, 0.55], 0.24), ([0.14, 0.06, 0.82], 0.17), ([-0.13, -0.08, 0.78], 0.19)];
+    scene.cylinder(
+        "stem",
+        &stem,
+        [0.025 * size, 0.02 * size],
+        0.35 * size,
+        [bark.clone(), bark.clone(), bark],
+    );
+    let balls = [
+        ([0.0, 0.0, 0.55], 0.24),
+        ([0.14, 0.06, 0.82], 0.17),
+        ([-0.13, -0.08, 0.78], 0.19),
+    ];
     for (salt, ([x, y, z], radius)) in (0..).zip(balls) {
         let leaves = Texture::from(Pattern::Flecks {
             ground: srgb(0x2a_58_2a),

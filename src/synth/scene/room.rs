@@ -62,7 +62,10 @@ fn waypoints() -> Vec<[[f64; 3]; 2]> {
             let (sin, cos) = angle.sin_cos();
             // The eye is on the far side of the middle from what it looks at: more is in view.
             let eye = [centre[0] - 0.95 * cos, centre[1] - 0.55 * sin, eye_z];
-            points.push([eye, [centre[0] + reach * cos, centre[1] + reach * sin, target_z]]);
+            points.push([
+                eye,
+                [centre[0] + reach * cos, centre[1] + reach * sin, target_z],
+            ]);
         }
     }
     points.push([[2.4, 1.9, 1.55], [1.9, 0.9, 0.75]]);
@@ -85,17 +88,56 @@ fn shell(scene: &mut SceneBuilder) {
         plank_m: Some([1.15, 0.14]),
     })
     .salted(5)
-    .with_decal([1.55, 1.15, 2.0, 1.4], Pattern::Picture(art::rug([2.0, 1.4], PIXEL_M)));
-    scene.rect("floor", &world, [[0.0, d, 0.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]], [w, d], floor);
+    .with_decal(
+        [1.55, 1.15, 2.0, 1.4],
+        Pattern::Picture(art::rug([2.0, 1.4], PIXEL_M)),
+    );
+    scene.rect(
+        "floor",
+        &world,
+        [[0.0, d, 0.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]],
+        [w, d],
+        floor,
+    );
     let ceiling = Texture::from(Pattern::Plain(srgb(0xf2_f0_ea)))
         .mottled(0.025, 0.03)
         .with_decal([1.6, 1.0, 2.2, 1.8], ceiling_light());
-    scene.rect("ceiling", &world, [[0.0, 0.0, h], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], [w, d], ceiling);
+    scene.rect(
+        "ceiling",
+        &world,
+        [[0.0, 0.0, h], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
+        [w, d],
+        ceiling,
+    );
     let down = [0.0, 0.0, -1.0];
-    scene.rect("north wall", &world, [[0.0, d, h], [1.0, 0.0, 0.0], down], [w, h], north_wall(w, h));
-    scene.rect("south wall", &world, [[w, 0.0, h], [-1.0, 0.0, 0.0], down], [w, h], south_wall(w, h));
-    scene.rect("east wall", &world, [[w, d, h], [0.0, -1.0, 0.0], down], [d, h], east_wall(d, h));
-    scene.rect("west wall", &world, [[0.0, 0.0, h], [0.0, 1.0, 0.0], down], [d, h], west_wall(d, h));
+    scene.rect(
+        "north wall",
+        &world,
+        [[0.0, d, h], [1.0, 0.0, 0.0], down],
+        [w, h],
+        north_wall(w, h),
+    );
+    scene.rect(
+        "south wall",
+        &world,
+        [[w, 0.0, h], [-1.0, 0.0, 0.0], down],
+        [w, h],
+        south_wall(w, h),
+    );
+    scene.rect(
+        "east wall",
+        &world,
+        [[w, d, h], [0.0, -1.0, 0.0], down],
+        [d, h],
+        east_wall(d, h),
+    );
+    scene.rect(
+        "west wall",
+        &world,
+        [[0.0, 0.0, h], [0.0, 1.0, 0.0], down],
+        [d, h],
+        west_wall(d, h),
+    );
 }
 
 fn ceiling_light() -> Texture {
@@ -119,18 +161,42 @@ fn skirting(wall: Texture, width_m: f64, height_m: f64) -> Texture {
     wall.with_decal([0.0, height_m - 0.09, width_m, 0.09], board)
 }
 
-fn hung(wall: Texture, [x, y, w, h]: [f64; 4], picture: std::sync::Arc<super::super::picture::Picture>) -> Texture {
+fn hung(
+    wall: Texture,
+    [x, y, w, h]: [f64; 4],
+    picture: std::sync::Arc<super::super::picture::Picture>,
+) -> Texture {
     // A soft shadow below and beside, then the picture.
     wall.with_decal([x + 0.01, y + 0.015, w, h], plain(0x9a_94_88))
         .with_decal([x, y, w, h], Pattern::Picture(picture))
 }
 
 fn north_wall(w: f64, h: f64) -> Texture {
-    let wall = skirting(Texture::from(Pattern::Plain(srgb(0xd6_cf_bd))).mottled(0.03, 0.025), w, h);
-    let wall = hung(wall, [2.1, 0.62, 0.60, 0.80], art::geometric_poster([0.60, 0.80], PIXEL_M));
-    let wall = hung(wall, [2.85, 0.62, 1.10, 0.75], art::landscape([1.10, 0.75], PIXEL_M));
-    let wall = hung(wall, [4.1, 0.62, 0.55, 0.75], art::grid_painting([0.55, 0.75], PIXEL_M));
-    hung(wall, [1.0, 0.55, 0.75, 1.05], art::eye_chart([0.75, 1.05], PIXEL_M))
+    let wall = skirting(
+        Texture::from(Pattern::Plain(srgb(0xd6_cf_bd))).mottled(0.03, 0.025),
+        w,
+        h,
+    );
+    let wall = hung(
+        wall,
+        [2.1, 0.62, 0.60, 0.80],
+        art::geometric_poster([0.60, 0.80], PIXEL_M),
+    );
+    let wall = hung(
+        wall,
+        [2.85, 0.62, 1.10, 0.75],
+        art::landscape([1.10, 0.75], PIXEL_M),
+    );
+    let wall = hung(
+        wall,
+        [4.1, 0.62, 0.55, 0.75],
+        art::grid_painting([0.55, 0.75], PIXEL_M),
+    );
+    hung(
+        wall,
+        [1.0, 0.55, 0.75, 1.05],
+        art::eye_chart([0.75, 1.05], PIXEL_M),
+    )
 }
 
 fn south_wall(w: f64, h: f64) -> Texture {
@@ -141,18 +207,42 @@ fn south_wall(w: f64, h: f64) -> Texture {
     })
     .mottled(0.025, 0.02);
     let wall = skirting(paper, w, h);
-    let wall = wall.with_decal([0.35, h - 2.05, 0.90, 2.05], Pattern::Picture(art::door([0.90, 2.05], PIXEL_M)));
-    let wall = hung(wall, [1.55, 0.62, 0.95, 0.68], art::transit_map([0.95, 0.68], PIXEL_M));
-    let wall = hung(wall, [2.85, 0.60, 0.50, 0.60], art::calendar([0.50, 0.60], PIXEL_M));
-    hung(wall, [3.75, 0.70, 0.75, 0.52], art::color_chart([0.75, 0.52], PIXEL_M))
+    let wall = wall.with_decal(
+        [0.35, h - 2.05, 0.90, 2.05],
+        Pattern::Picture(art::door([0.90, 2.05], PIXEL_M)),
+    );
+    let wall = hung(
+        wall,
+        [1.55, 0.62, 0.95, 0.68],
+        art::transit_map([0.95, 0.68], PIXEL_M),
+    );
+    let wall = hung(
+        wall,
+        [2.85, 0.60, 0.50, 0.60],
+        art::calendar([0.50, 0.60], PIXEL_M),
+    );
+    hung(
+        wall,
+        [3.75, 0.70, 0.75, 0.52],
+        art::color_chart([0.75, 0.52], PIXEL_M),
+    )
 }
 
 fn east_wall(d: f64, h: f64) -> Texture {
-    let wall = skirting(Texture::from(Pattern::Plain(srgb(0xe0_d8_c6))).mottled(0.03, 0.025), d, h);
+    let wall = skirting(
+        Texture::from(Pattern::Plain(srgb(0xe0_d8_c6))).mottled(0.03, 0.025),
+        d,
+        h,
+    );
     let view = Texture::from(Pattern::Picture(art::window_view([1.6, 1.35], 0.002))).luminous();
     let curtain = || {
         Texture::from(Pattern::Stripes {
-            palette: vec![srgb(0xa8_48_38), srgb(0xba_5c_48), srgb(0xc8_70_58), srgb(0xb2_50_40)],
+            palette: vec![
+                srgb(0xa8_48_38),
+                srgb(0xba_5c_48),
+                srgb(0xc8_70_58),
+                srgb(0xb2_50_40),
+            ],
             width_m: 0.035,
             across_v: false,
         })
@@ -165,7 +255,9 @@ fn east_wall(d: f64, h: f64) -> Texture {
 
 fn west_wall(d: f64, h: f64) -> Texture {
     let brick = Texture::from(Pattern::Tiles {
-        palette: [0xa8_58_42, 0x9a_4c_3a, 0xb4_68_4e, 0x8c_48_3a].map(srgb).to_vec(),
+        palette: [0xa8_58_42, 0x9a_4c_3a, 0xb4_68_4e, 0x8c_48_3a]
+            .map(srgb)
+            .to_vec(),
         grout: srgb(0xc8_bc_a8),
         size_m: [0.22, 0.075],
         grout_m: 0.012,
@@ -183,43 +275,126 @@ fn dining(scene: &mut SceneBuilder) {
     table(scene, &place, [1.4, 0.8, 0.74], oak);
     chair(scene, &standing([1.15, 1.45, 0.0], 0.12), 1, 0x30_58_8a);
     chair(scene, &standing([2.00, 1.50, 0.0], -0.2), 2, 0x8a_30_38);
-    chair(scene, &standing([2.55, 0.80, 0.0], -FRAC_PI_2 + 0.1), 3, 0x30_7a_50);
+    chair(
+        scene,
+        &standing([2.55, 0.80, 0.0], -FRAC_PI_2 + 0.1),
+        3,
+        0x30_7a_50,
+    );
     let on_table = |x: f64, y: f64, yaw: f64| place * standing([x, y, 0.74], yaw);
     let glaze = Texture::from(Pattern::Stripes {
         palette: [0xf4_f0_e8, 0x2a_6a_9a].map(srgb).to_vec(),
         width_m: 0.016,
         across_v: true,
     });
-    mug(scene, "mug", &on_table(-0.35, 0.15, 0.5), [0.042, 0.10], glaze, 0xf4_f0_e8);
-    lying_book(scene, "atlas", &on_table(0.05, -0.05, 0.3), [0.24, 0.31, 0.035], 1, PIXEL_M);
-    lying_book(scene, "novel", &(on_table(0.05, -0.05, -0.2) * standing([0.0, 0.0, 0.035], 0.0)), [0.15, 0.21, 0.03], 3, 0.001);
-    let cereal = ([0xf0_b4_28, 0xc0_38_28, 0x40_1c_10], ["OATS", "with honey 500 g"]);
-    carton(scene, "carton", &on_table(0.45, 0.15, -0.35), [0.19, 0.07, 0.28], cereal, 0.001);
-    tin(scene, "tin", &on_table(-0.1, 0.22, 1.0), [0.05, 0.12], ([0xf2_ec_da, 0xc8_38_30, 0x28_40_28], ["TOMATO", "peeled"]), 0.001);
+    mug(
+        scene,
+        "mug",
+        &on_table(-0.35, 0.15, 0.5),
+        [0.042, 0.10],
+        glaze,
+        0xf4_f0_e8,
+    );
+    lying_book(
+        scene,
+        "atlas",
+        &on_table(0.05, -0.05, 0.3),
+        [0.24, 0.31, 0.035],
+        1,
+        PIXEL_M,
+    );
+    lying_book(
+        scene,
+        "novel",
+        &(on_table(0.05, -0.05, -0.2) * standing([0.0, 0.0, 0.035], 0.0)),
+        [0.15, 0.21, 0.03],
+        3,
+        0.001,
+    );
+    let cereal = (
+        [0xf0_b4_28, 0xc0_38_28, 0x40_1c_10],
+        ["OATS", "with honey 500 g"],
+    );
+    carton(
+        scene,
+        "carton",
+        &on_table(0.45, 0.15, -0.35),
+        [0.19, 0.07, 0.28],
+        cereal,
+        0.001,
+    );
+    tin(
+        scene,
+        "tin",
+        &on_table(-0.1, 0.22, 1.0),
+        [0.05, 0.12],
+        ([0xf2_ec_da, 0xc8_38_30, 0x28_40_28], ["TOMATO", "peeled"]),
+        0.001,
+    );
     let orange = Texture::from(Pattern::Plain(srgb(0xe8_88_20))).mottled(0.10, 0.008);
-    for (index, [x, y]) in [[-0.52, -0.1], [-0.44, -0.16], [-0.45, -0.05]].into_iter().enumerate() {
-        scene.ball(&format!("orange {index}"), &on_table(x, y, 0.0), 0.04, orange.clone());
+    for (index, [x, y]) in [[-0.52, -0.1], [-0.44, -0.16], [-0.45, -0.05]]
+        .into_iter()
+        .enumerate()
+    {
+        scene.ball(
+            &format!("orange {index}"),
+            &on_table(x, y, 0.0),
+            0.04,
+            orange.clone(),
+        );
     }
 }
 
 fn coffee_table(scene: &mut SceneBuilder) {
     let place = standing([3.3, 2.45, 0.0], 0.05);
     let walnut = [0x8a_5e_3a, 0x5a_38_20];
-    wooden(scene, "coffee table top", &(place * standing([0.0, 0.0, 0.36], 0.0)), [0.9, 0.5, 0.04], walnut, 90);
+    wooden(
+        scene,
+        "coffee table top",
+        &(place * standing([0.0, 0.0, 0.36], 0.0)),
+        [0.9, 0.5, 0.04],
+        walnut,
+        90,
+    );
     for (salt, x) in (91..).zip([-0.38, 0.38]) {
-        wooden(scene, "coffee table side", &(place * standing([x, 0.0, 0.0], 0.0)), [0.04, 0.46, 0.36], walnut, salt);
+        wooden(
+            scene,
+            "coffee table side",
+            &(place * standing([x, 0.0, 0.0], 0.0)),
+            [0.04, 0.46, 0.36],
+            walnut,
+            salt,
+        );
     }
     let page = Pattern::Picture(art::printed_page([0.30, 0.42], 0.0012, "THE DAILY ATLAS"));
     let sheet = Texture::from(Pattern::Plain(srgb(0xf4_f0_e6)));
-    let faces = [sheet.clone(), sheet.clone(), sheet.clone(), sheet.clone(), page.into(), sheet];
-    scene.cuboid("newspaper", &(place * standing([-0.2, 0.0, 0.40], 0.25)), [0.30, 0.42, 0.012], faces);
+    let faces = [
+        sheet.clone(),
+        sheet.clone(),
+        sheet.clone(),
+        sheet.clone(),
+        page.into(),
+        sheet,
+    ];
+    scene.cuboid(
+        "newspaper",
+        &(place * standing([-0.2, 0.0, 0.40], 0.25)),
+        [0.30, 0.42, 0.012],
+        faces,
+    );
     let bowl = Texture::from(Pattern::Dots {
         ground: srgb(0xe8_e4_da),
         dot: srgb(0x2a_58_8a),
         pitch_m: 0.035,
         radius_m: 0.010,
     });
-    scene.cylinder("bowl", &(place * standing([0.2, 0.05, 0.40], 0.0)), [0.06, 0.13], 0.08, [bowl, plain(0xd8_d2_c2), plain(0xe8_e4_da)]);
+    scene.cylinder(
+        "bowl",
+        &(place * standing([0.2, 0.05, 0.40], 0.0)),
+        [0.06, 0.13],
+        0.08,
+        [bowl, plain(0xd8_d2_c2), plain(0xe8_e4_da)],
+    );
 }
 
 fn sideboard(scene: &mut SceneBuilder) {
@@ -238,14 +413,37 @@ fn sideboard(scene: &mut SceneBuilder) {
     lid[0] = Texture::from(screen).luminous();
     let hinge = laptop * tilted([0.0, 0.12, 0.018], 0.0, -0.28);
     scene.cuboid("laptop lid", &hinge, [0.34, 0.012, 0.23], lid);
-    let parcel = ([0xb8_8e_5a, 0x8a_64_38, 0x3a_28_18], ["FRAGILE", "this side up"]);
-    carton(scene, "parcel", &(place * standing([0.25, 0.0, 0.62], 0.2)), [0.32, 0.24, 0.22], parcel, PIXEL_M);
+    let parcel = (
+        [0xb8_8e_5a, 0x8a_64_38, 0x3a_28_18],
+        ["FRAGILE", "this side up"],
+    );
+    carton(
+        scene,
+        "parcel",
+        &(place * standing([0.25, 0.0, 0.62], 0.2)),
+        [0.32, 0.24, 0.22],
+        parcel,
+        PIXEL_M,
+    );
     let tea = ([0x2a_5a_48, 0xe8_d0_80, 0xf4_ea_c8], ["TEA", "first flush"]);
-    tin(scene, "caddy", &(place * standing([0.56, 0.02, 0.62], 0.0)), [0.06, 0.16], tea, 0.001);
+    tin(
+        scene,
+        "caddy",
+        &(place * standing([0.56, 0.02, 0.62], 0.0)),
+        [0.06, 0.16],
+        tea,
+        0.001,
+    );
     let pouf = Texture::from(Pattern::Checks {
         colors: [srgb(0xd8_c8_a8), srgb(0x5a_78_8a)],
         size_m: 0.05,
     })
     .mottled(0.08, 0.02);
-    scene.cylinder("pouf", &standing([4.1, 0.55, 0.0], 0.0), [0.26, 0.26], 0.40, [pouf.clone(), pouf.clone(), pouf]);
+    scene.cylinder(
+        "pouf",
+        &standing([4.1, 0.55, 0.0], 0.0),
+        [0.26, 0.26],
+        0.40,
+        [pouf.clone(), pouf.clone(), pouf],
+    );
 }

@@ -25,10 +25,37 @@ const BOOK_COLORS: [[u32; 2]; 10] = [
 ];
 
 const BOOK_TITLES: [&str; 31] = [
-    "ATLAS", "OPTICS", "Meshes", "Gardens", "ROME", "Rivers II", "COLOUR", "Light", "Birds",
-    "GEOMETRY", "Tea", "Signals", "The Quay", "POEMS", "Maps", "Stone", "Winter", "ALGEBRA",
-    "On Walking", "Bridges", "SEA", "Clocks", "A Short Hill", "PAPER", "Moths", "Letters",
-    "ORCHARD", "Tides", "The Lamp", "MUSIC", "Bread",
+    "ATLAS",
+    "OPTICS",
+    "Meshes",
+    "Gardens",
+    "ROME",
+    "Rivers II",
+    "COLOUR",
+    "Light",
+    "Birds",
+    "GEOMETRY",
+    "Tea",
+    "Signals",
+    "The Quay",
+    "POEMS",
+    "Maps",
+    "Stone",
+    "Winter",
+    "ALGEBRA",
+    "On Walking",
+    "Bridges",
+    "SEA",
+    "Clocks",
+    "A Short Hill",
+    "PAPER",
+    "Moths",
+    "Letters",
+    "ORCHARD",
+    "Tides",
+    "The Lamp",
+    "MUSIC",
+    "Bread",
 ];
 
 pub(super) fn plain(color: u32) -> Texture {
@@ -44,7 +71,11 @@ pub(super) fn carton(
     (colors, words): LabelText<'_>,
     pixel_m: f64,
 ) {
-    let front = |width: f64| Texture::from(Pattern::Picture(art::label([width, h], pixel_m, colors, words).finish()));
+    let front = |width: f64| {
+        Texture::from(Pattern::Picture(
+            art::label([width, h], pixel_m, colors, words).finish(),
+        ))
+    };
     let stripes = Texture::from(Pattern::Stripes {
         palette: vec![srgb(colors[0]), srgb(colors[1])],
         width_m: d / 5.0,
@@ -73,7 +104,12 @@ pub(super) fn tin(
     let label = art::wrapped_label([TAU * radius_m, height_m], pixel_m, colors, words);
     let lid = Texture::from(Pattern::Plain(srgb(0xb8_ba_bc))).mottled(0.08, 0.012);
     let ring = lid.clone().with_decal(
-        [0.6 * radius_m, 0.6 * radius_m, 0.8 * radius_m, 0.8 * radius_m],
+        [
+            0.6 * radius_m,
+            0.6 * radius_m,
+            0.8 * radius_m,
+            0.8 * radius_m,
+        ],
         Pattern::Stripes {
             palette: vec![srgb(0xa4_a6_aa), srgb(0xc8_ca_cc)],
             width_m: 0.2 * radius_m,
@@ -101,22 +137,57 @@ pub(super) fn mug(
     let inner_m = radius_m * 0.9;
     let level_m = height_m * 0.78;
     scene.begin_body();
-    scene.mantle(name, world_from_mug, [radius_m; 2], [0.0, height_m], false, outside);
+    scene.mantle(
+        name,
+        world_from_mug,
+        [radius_m; 2],
+        [0.0, height_m],
+        false,
+        outside,
+    );
     scene.underside(name, world_from_mug, radius_m, plain(glaze));
-    scene.mantle(name, world_from_mug, [inner_m; 2], [level_m, height_m], true, plain(glaze));
+    scene.mantle(
+        name,
+        world_from_mug,
+        [inner_m; 2],
+        [level_m, height_m],
+        true,
+        plain(glaze),
+    );
     let rim = format!("{name} rim");
-    scene.disc(rim, world_from_mug, height_m, [radius_m, inner_m], plain(glaze));
+    scene.disc(
+        rim,
+        world_from_mug,
+        height_m,
+        [radius_m, inner_m],
+        plain(glaze),
+    );
     let content = format!("{name} content");
-    scene.disc(content, world_from_mug, level_m, [inner_m, 0.0], plain(0x3a_1e_10));
+    scene.disc(
+        content,
+        world_from_mug,
+        level_m,
+        [inner_m, 0.0],
+        plain(0x3a_1e_10),
+    );
     scene.solid_cylinder(world_from_mug, radius_m, level_m);
     let grip = all_faces(&plain(glaze), 3);
     let reach = radius_m * 0.62;
     let bar = radius_m * 0.24;
     for (index, z) in [0.25 * height_m, 0.75 * height_m].into_iter().enumerate() {
         let at = *world_from_mug * standing([radius_m + reach / 2.0 - 0.001, 0.0, z], 0.0);
-        scene.cuboid(&format!("{name} handle {index}"), &at, [reach, bar, bar], grip.clone());
+        scene.cuboid(
+            &format!("{name} handle {index}"),
+            &at,
+            [reach, bar, bar],
+            grip.clone(),
+        );
     }
-    let at = *world_from_mug * standing([radius_m + reach - bar / 2.0, 0.0, 0.25 * height_m + bar], 0.0);
+    let at = *world_from_mug
+        * standing(
+            [radius_m + reach - bar / 2.0, 0.0, 0.25 * height_m + bar],
+            0.0,
+        );
     scene.cuboid(
         &format!("{name} handle"),
         &at,
@@ -137,7 +208,13 @@ pub(super) fn lying_book(
 ) {
     let [ground, ink] = BOOK_COLORS[index % BOOK_COLORS.len()];
     let title = BOOK_TITLES[index % BOOK_TITLES.len()];
-    let cover = art::label([w, d], pixel_m, [ground, ink, ink], [title, "a veneer book"]).finish();
+    let cover = art::label(
+        [w, d],
+        pixel_m,
+        [ground, ink, ink],
+        [title, "a veneer book"],
+    )
+    .finish();
     let pages = pages_texture(false);
     // Seen from the left, right is −y: the spine's picture lies on its side there.
     let back = art::label([d, h], pixel_m, [ground, ink, ink], ["", ""]).finish();

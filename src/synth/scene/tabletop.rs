@@ -46,7 +46,11 @@ fn waypoints() -> Vec<[[f64; 3]; 2]> {
     for k in 0..num {
         let angle = 2.0 * PI * f64::from(k) / f64::from(num) - 0.5 * PI;
         let (sin, cos) = angle.sin_cos();
-        let eye = [0.95 * cos, 0.80 * sin, TOP_M + 0.52 + 0.06 * (3.0 * angle).sin()];
+        let eye = [
+            0.95 * cos,
+            0.80 * sin,
+            TOP_M + 0.52 + 0.06 * (3.0 * angle).sin(),
+        ];
         points.push([eye, [0.14 * cos, 0.08 * sin, TOP_M + 0.02]]);
     }
     for [x, y, tx, ty] in [
@@ -78,7 +82,13 @@ fn studio(scene: &mut SceneBuilder) {
     })
     .mottled(0.06, 0.03);
     let side = 2.0 * half;
-    scene.rect("floor", &world, [[-half, half, 0.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]], [side; 2], tiles);
+    scene.rect(
+        "floor",
+        &world,
+        [[-half, half, 0.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]],
+        [side; 2],
+        tiles,
+    );
     let wall = || {
         Texture::from(Pattern::Gradient {
             from: srgb(0xd8_dc_e0),
@@ -88,10 +98,34 @@ fn studio(scene: &mut SceneBuilder) {
         .mottled(0.02, 0.04)
     };
     let down = [0.0, 0.0, -1.0];
-    scene.rect("north wall", &world, [[-half, half, h], [1.0, 0.0, 0.0], down], [side, h], wall());
-    scene.rect("south wall", &world, [[half, -half, h], [-1.0, 0.0, 0.0], down], [side, h], wall());
-    scene.rect("east wall", &world, [[half, half, h], [0.0, -1.0, 0.0], down], [side, h], wall());
-    scene.rect("west wall", &world, [[-half, -half, h], [0.0, 1.0, 0.0], down], [side, h], wall());
+    scene.rect(
+        "north wall",
+        &world,
+        [[-half, half, h], [1.0, 0.0, 0.0], down],
+        [side, h],
+        wall(),
+    );
+    scene.rect(
+        "south wall",
+        &world,
+        [[half, -half, h], [-1.0, 0.0, 0.0], down],
+        [side, h],
+        wall(),
+    );
+    scene.rect(
+        "east wall",
+        &world,
+        [[half, half, h], [0.0, -1.0, 0.0], down],
+        [side, h],
+        wall(),
+    );
+    scene.rect(
+        "west wall",
+        &world,
+        [[-half, -half, h], [0.0, 1.0, 0.0], down],
+        [side, h],
+        wall(),
+    );
     scene.set_edge_scale(1.0);
 }
 
@@ -105,10 +139,19 @@ fn table(scene: &mut SceneBuilder) {
         plank_m: Some([1.3, 0.16]),
     })
     .salted(9)
-    .with_decal([0.70, 0.42, 0.21, 0.297], Pattern::Picture(art::printed_page([0.21, 0.297], PIXEL_M, "ON TEXTURE")))
+    .with_decal(
+        [0.70, 0.42, 0.21, 0.297],
+        Pattern::Picture(art::printed_page([0.21, 0.297], PIXEL_M, "ON TEXTURE")),
+    )
     .with_decal([0.06, 0.48, 0.24, 0.24], checkerboard())
-    .with_decal([0.93, 0.60, 0.148, 0.105], Pattern::Picture(art::landscape([0.148, 0.105], PIXEL_M)))
-    .with_decal([0.34, 0.60, 0.148, 0.105], Pattern::Picture(art::color_chart([0.148, 0.105], PIXEL_M)));
+    .with_decal(
+        [0.93, 0.60, 0.148, 0.105],
+        Pattern::Picture(art::landscape([0.148, 0.105], PIXEL_M)),
+    )
+    .with_decal(
+        [0.34, 0.60, 0.148, 0.105],
+        Pattern::Picture(art::color_chart([0.148, 0.105], PIXEL_M)),
+    );
     let edge = |along_v: bool| {
         Texture::from(Pattern::Wood {
             light: srgb(0xc8_9c_62),
@@ -118,12 +161,31 @@ fn table(scene: &mut SceneBuilder) {
             plank_m: None,
         })
     };
-    let faces = [edge(false), edge(false), edge(false), edge(false), top, edge(false)];
-    scene.cuboid("table top", &standing([0.0, 0.0, TOP_M - h], 0.0), [w, d, h], faces);
+    let faces = [
+        edge(false),
+        edge(false),
+        edge(false),
+        edge(false),
+        top,
+        edge(false),
+    ];
+    scene.cuboid(
+        "table top",
+        &standing([0.0, 0.0, TOP_M - h], 0.0),
+        [w, d, h],
+        faces,
+    );
     scene.set_edge_scale(4.0);
     for (salt, [sx, sy]) in (10..).zip([[-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0], [1.0, 1.0]]) {
         let foot = standing([sx * 0.52, sy * 0.32, 0.0], 0.0);
-        wooden(scene, "table leg", &foot, [0.06, 0.06, TOP_M - h], [0xb8_8a_54, 0x80_56_2c], salt);
+        wooden(
+            scene,
+            "table leg",
+            &foot,
+            [0.06, 0.06, TOP_M - h],
+            [0xb8_8a_54, 0x80_56_2c],
+            salt,
+        );
     }
     scene.set_edge_scale(1.0);
 }
@@ -141,55 +203,146 @@ fn on_table(x: f64, y: f64, yaw_rad: f64) -> RigidTransform {
 }
 
 fn boxes_and_tins(scene: &mut SceneBuilder) {
-    let cereal = ([0xf2_c2_3a, 0xc8_34_28, 0x38_1a_10], ["CRUNCH", "golden flakes 375 g"]);
-    carton(scene, "cereal", &on_table(-0.38, 0.24, 0.25), [0.19, 0.07, 0.27], cereal, PIXEL_M);
-    let tea = ([0x1e_50_48, 0xe0_c0_68, 0xf6_ec_cc], ["JASMIN", "green tea 40 bags"]);
-    carton(scene, "tea", &on_table(-0.13, 0.29, -0.15), [0.13, 0.08, 0.09], tea, PIXEL_M);
+    let cereal = (
+        [0xf2_c2_3a, 0xc8_34_28, 0x38_1a_10],
+        ["CRUNCH", "golden flakes 375 g"],
+    );
+    carton(
+        scene,
+        "cereal",
+        &on_table(-0.38, 0.24, 0.25),
+        [0.19, 0.07, 0.27],
+        cereal,
+        PIXEL_M,
+    );
+    let tea = (
+        [0x1e_50_48, 0xe0_c0_68, 0xf6_ec_cc],
+        ["JASMIN", "green tea 40 bags"],
+    );
+    carton(
+        scene,
+        "tea",
+        &on_table(-0.13, 0.29, -0.15),
+        [0.13, 0.08, 0.09],
+        tea,
+        PIXEL_M,
+    );
     let matches = ([0xc8_40_30, 0xf0_d8_90, 0xff_f4_d8], ["SPARK", "50"]);
-    carton(scene, "matches", &on_table(0.02, -0.30, 0.6), [0.055, 0.036, 0.016], matches, PIXEL_M);
-    let soup = ([0xf4_ee_dc, 0xb8_30_28, 0x2a_2a_2a], ["TOMATO", "condensed soup"]);
-    tin(scene, "soup tin", &on_table(0.06, 0.24, 0.9), [0.037, 0.11], soup, PIXEL_M);
+    carton(
+        scene,
+        "matches",
+        &on_table(0.02, -0.30, 0.6),
+        [0.055, 0.036, 0.016],
+        matches,
+        PIXEL_M,
+    );
+    let soup = (
+        [0xf4_ee_dc, 0xb8_30_28, 0x2a_2a_2a],
+        ["TOMATO", "condensed soup"],
+    );
+    tin(
+        scene,
+        "soup tin",
+        &on_table(0.06, 0.24, 0.9),
+        [0.037, 0.11],
+        soup,
+        PIXEL_M,
+    );
     let beans = ([0x2a_58_8a, 0xf0_c8_48, 0xff_ff_f0], ["BEANS", "in brine"]);
-    tin(scene, "bean tin", &on_table(0.155, 0.30, 2.0), [0.042, 0.085], beans, PIXEL_M);
-    let fish = ([0xe8_a0_30, 0x20_40_5a, 0x14_20_30], ["TUNA", "line caught"]);
-    tin(scene, "flat tin", &(on_table(0.155, 0.30, 0.5) * standing([0.0, 0.0, 0.085], 0.0)), [0.040, 0.035], fish, PIXEL_M);
+    tin(
+        scene,
+        "bean tin",
+        &on_table(0.155, 0.30, 2.0),
+        [0.042, 0.085],
+        beans,
+        PIXEL_M,
+    );
+    let fish = (
+        [0xe8_a0_30, 0x20_40_5a, 0x14_20_30],
+        ["TUNA", "line caught"],
+    );
+    tin(
+        scene,
+        "flat tin",
+        &(on_table(0.155, 0.30, 0.5) * standing([0.0, 0.0, 0.085], 0.0)),
+        [0.040, 0.035],
+        fish,
+        PIXEL_M,
+    );
 }
 
 fn books(scene: &mut SceneBuilder) {
-    let sizes = [[0.19, 0.25, 0.032], [0.16, 0.23, 0.026], [0.13, 0.19, 0.022]];
+    let sizes = [
+        [0.19, 0.25, 0.032],
+        [0.16, 0.23, 0.026],
+        [0.13, 0.19, 0.022],
+    ];
     let mut z = 0.0;
     for (index, (size, yaw)) in sizes.into_iter().zip([0.15, -0.22, 0.5]).enumerate() {
         let at = on_table(0.42, 0.17, yaw) * standing([0.0, 0.0, z], 0.0);
-        lying_book(scene, &format!("book {index}"), &at, size, [1, 3, 7][index], PIXEL_M);
+        lying_book(
+            scene,
+            &format!("book {index}"),
+            &at,
+            size,
+            [1, 3, 7][index],
+            PIXEL_M,
+        );
         z += size[2];
     }
 }
 
 fn crockery(scene: &mut SceneBuilder) {
     let rings = Texture::from(Pattern::Stripes {
-        palette: [0xf6_f2_ea, 0xf6_f2_ea, 0x28_60_98, 0xf6_f2_ea, 0xc8_48_38].map(srgb).to_vec(),
+        palette: [0xf6_f2_ea, 0xf6_f2_ea, 0x28_60_98, 0xf6_f2_ea, 0xc8_48_38]
+            .map(srgb)
+            .to_vec(),
         width_m: 0.012,
         across_v: true,
     });
-    mug(scene, "mug", &on_table(0.03, 0.06, -0.6), [0.042, 0.095], rings, 0xf6_f2_ea);
+    mug(
+        scene,
+        "mug",
+        &on_table(0.03, 0.06, -0.6),
+        [0.042, 0.095],
+        rings,
+        0xf6_f2_ea,
+    );
     let dots = Texture::from(Pattern::Dots {
         ground: srgb(0x2c_70_60),
         dot: srgb(0xf0_e8_d0),
         pitch_m: 0.022,
         radius_m: 0.006,
     });
-    mug(scene, "dotted mug", &on_table(-0.20, 0.10, 2.4), [0.038, 0.088], dots, 0x2c_70_60);
+    mug(
+        scene,
+        "dotted mug",
+        &on_table(-0.20, 0.10, 2.4),
+        [0.038, 0.088],
+        dots,
+        0x2c_70_60,
+    );
     let vase = Texture::from(Pattern::Flecks {
         ground: srgb(0xd8_cc_b4),
         fleck: srgb(0x5a_6a_7a),
         cell_m: 0.010,
     });
-    scene.cylinder("vase", &on_table(0.27, 0.03, 0.0), [0.030, 0.052], 0.17, [vase, plain(0x30_28_22), plain(0x8a_80_70)]);
+    scene.cylinder(
+        "vase",
+        &on_table(0.27, 0.03, 0.0),
+        [0.030, 0.052],
+        0.17,
+        [vase, plain(0x30_28_22), plain(0x8a_80_70)],
+    );
 }
 
 fn toys(scene: &mut SceneBuilder) {
     let ball = Texture::from(Pattern::Stripes {
-        palette: [0xd8_34_30, 0xf8_f4_ea, 0x2a_6c_b8, 0xf8_f4_ea, 0xe8_b4_28, 0xf8_f4_ea].map(srgb).to_vec(),
+        palette: [
+            0xd8_34_30, 0xf8_f4_ea, 0x2a_6c_b8, 0xf8_f4_ea, 0xe8_b4_28, 0xf8_f4_ea,
+        ]
+        .map(srgb)
+        .to_vec(),
         width_m: PI * 0.065 / 6.0,
         across_v: false,
     })
@@ -201,7 +354,11 @@ fn toys(scene: &mut SceneBuilder) {
         #[expect(clippy::cast_possible_truncation, reason = "six faces")]
         let salt = face as u32 + 3;
         Texture::from(Pattern::Tiles {
-            palette: [0xd0_28_28, 0x20_50_b0, 0x28_8a_40, 0xf0_d0_20, 0xf4_f4_f0, 0xe8_78_20].map(srgb).to_vec(),
+            palette: [
+                0xd0_28_28, 0x20_50_b0, 0x28_8a_40, 0xf0_d0_20, 0xf4_f4_f0, 0xe8_78_20,
+            ]
+            .map(srgb)
+            .to_vec(),
             grout: srgb(0x14_14_14),
             size_m: [0.019, 0.019],
             grout_m: 0.003,
@@ -210,7 +367,12 @@ fn toys(scene: &mut SceneBuilder) {
         })
         .salted(salt)
     });
-    scene.cuboid("puzzle cube", &on_table(-0.09, -0.07, 0.5), [0.057; 3], cube);
+    scene.cuboid(
+        "puzzle cube",
+        &on_table(-0.09, -0.07, 0.5),
+        [0.057; 3],
+        cube,
+    );
     let rule = Texture::from(Pattern::Tiles {
         palette: vec![srgb(0xe8_c8_50)],
         grout: srgb(0x3a_2a_10),
@@ -220,9 +382,28 @@ fn toys(scene: &mut SceneBuilder) {
         variation: 0.0,
     });
     let side = plain(0xd8_b8_40);
-    let faces = [side.clone(), side.clone(), side.clone(), side.clone(), rule, side];
-    scene.cuboid("ruler", &on_table(-0.12, -0.22, -0.25), [0.20, 0.03, 0.006], faces);
-    for (index, (y, color)) in [(-0.13, 0xd0_40_38), (-0.16, 0x30_70_b0), (-0.19, 0x3a_8a_48)].into_iter().enumerate() {
+    let faces = [
+        side.clone(),
+        side.clone(),
+        side.clone(),
+        side.clone(),
+        rule,
+        side,
+    ];
+    scene.cuboid(
+        "ruler",
+        &on_table(-0.12, -0.22, -0.25),
+        [0.20, 0.03, 0.006],
+        faces,
+    );
+    for (index, (y, color)) in [
+        (-0.13, 0xd0_40_38),
+        (-0.16, 0x30_70_b0),
+        (-0.19, 0x3a_8a_48),
+    ]
+    .into_iter()
+    .enumerate()
+    {
         let at = on_table(0.42, y, 0.2 - 0.15 * index as f64);
         let faces = super::all_faces(&plain(color), 0);
         scene.cuboid("pencil", &at, [0.16, 0.009, 0.009], faces);
