@@ -82,6 +82,16 @@ impl Growth {
             .collect()
     }
 
+    /// Share of the mesh's area that was seen.
+    #[cfg(test)]
+    pub(super) fn seen_area_share(&self) -> f64 {
+        let area = |wanted: &dyn Fn(usize) -> bool| {
+            let ids = self.mesh.triangle_ids().filter(|t| wanted(t.index()));
+            ids.map(|t| self.mesh.area_m2(t)).sum::<f64>()
+        };
+        area(&|index| self.is_seen[index]) / area(&|_| true)
+    }
+
     fn submesh(&self, triangles: &[[u32; 3]]) -> TriMesh {
         let mut new_id: BTreeMap<u32, u32> = BTreeMap::new();
         let mut points = Vec::new();

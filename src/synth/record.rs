@@ -75,19 +75,24 @@ pub fn synthesize(
     progress: &mut dyn FnMut(u64, u64),
 ) -> Result<SynthSummary, SynthError> {
     options.check()?;
+    let truth = GroundTruth::new(scene_name, options.seed);
+    record(scene_name, truth, options, out, progress)
+}
+
+/// [`synthesize`] with the scene built already.
+fn record(
+    scene_name: SceneName,
+    truth: GroundTruth,
+    options: &SynthOptions,
+    out: &Path,
+    progress: &mut dyn FnMut(u64, u64),
+) -> Result<SynthSummary, SynthError> {
     let num_frames = options
         .num_frames
         .unwrap_or(scene_name.default_num_frames());
-    let truth = GroundTruth::new(scene_name, options.seed);
     let scene = Arc::clone(&truth.scene);
-    let camera = options.camera()?;
-    let duration_s = f64::from(num_frames.saturating_sub(1)) / options.fps;
-    let film = Film {
-        path: HandHeldPath::new(&scene.waypoints_m, duration_s, options.seed),
-        scene: &scene,
-        camera,
-        options,
-    };
+    let film = Film::new(&scene, options, num_frames)?;
+    let camera = film.camera;
     let edge_m = options.mesh_edge_m.unwrap_or(scene.edge_m);
     let mesh = tessellate::scene_mesh(&scene, edge_m, &options.noise, options.seed)?;
     let num_triangles = mesh.num_triangles();
@@ -173,7 +178,21 @@ fn describe(scene: SceneName, options: &SynthOptions, num_frames: u32) -> BTreeM
     .into()
 }
 
-impl Film<'_> {
+impl<'a> Film<'a> {
+    fn new(
+        scene: &'a Scene,
+        options: &'a SynthOptions,
+        num_frames: u32,
+    ) -> Result<Self, SynthError> {
+        let duration_s = f64::from(num_frames.saturating_sub(1)) / options.fps;
+        Ok(Self {
+            scene,
+            path: HandHeldPath::new(&scene.waypoints_m, duration_s, options.seed),
+            camera: options.camera()?,
+            options,
+        })
+    }
+
     fn time_s(&self, index: u32) -> f64 {
         f64::from(index) / self.options.fps
     }

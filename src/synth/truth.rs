@@ -154,6 +154,40 @@ impl GroundTruth {
     }
 }
 
+#[cfg(test)]
+impl GroundTruth {
+    /// Whether the surface that a point belongs to faces a direction to within a cosine.
+    pub(super) fn faces_head_on(
+        &self,
+        point: &Point3<f64>,
+        direction: &Vector3<f64>,
+        cosine: f64,
+    ) -> bool {
+        self.find(point, direction).is_some_and(|found| {
+            let surface = &self.scene.surfaces[found.surface];
+            let normal = surface.shape.tangents(found.uv_m).normal;
+            surface
+                .world_from_local
+                .transform_vector(&normal)
+                .dot(direction)
+                > cosine
+        })
+    }
+}
+
+#[cfg(test)]
+impl Surface {
+    /// Distance from a point, metres.
+    pub(super) fn distance_to(&self, point_in_world: &Point3<f64>) -> f64 {
+        let point = self
+            .world_from_local
+            .inverse()
+            .transform_point(point_in_world)
+            .coords;
+        (self.shape.point_at(self.shape.nearest_uv(&point)) - point).norm()
+    }
+}
+
 impl Surface {
     /// Mean linear radiance over a square of the surface, metres.
     pub(super) fn average(&self, uv_m: [f64; 2], footprint_m: f64) -> Linear {
