@@ -111,7 +111,7 @@ mod tests {
         let rgb: Vec<u8> = (0..u32::from(height))
             .flat_map(|y| {
                 (0..u32::from(width))
-                    .flat_map(move |x| [(x * 5) as u8, (y * 6) as u8, ((x + y) * 2) as u8])
+                    .flat_map(move |x| [x * 5, y * 6, x + y].map(|v| u8::try_from(v).unwrap()))
             })
             .collect();
         let mut bytes = Vec::new();

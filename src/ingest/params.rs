@@ -1,7 +1,8 @@
 //! Settings of the ingest stage.
 
 /// Where the camera's pose comes from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum PoseSource {
     /// The first that gives a pose, tried in the order TF, pose topic, odometry; then kept.
     #[default]

@@ -12,7 +12,7 @@ use super::frame::FrameQuality;
 use crate::geom::{EncodedColor, ImageError, LumaImage};
 
 /// Least difference across two pixels of the averaged luma that counts as an edge, in bytes.
-const MIN_EDGE: i32 = 16;
+const MIN_EDGE: i16 = 16;
 /// Sharpness that an image without edges is taken to have.
 const PRIOR_SHARPNESS: f64 = 1.0;
 /// Share of the pixels whose edges weigh as much as the prior.
@@ -38,7 +38,17 @@ pub fn measure_luma(image: &LumaImage) -> FrameQuality {
         .chunks(1 << 16)
         .map(|chunk| u64::from(chunk.iter().map(|&y| u32::from(y)).sum::<u32>()))
         .sum();
-    let num_clipped = luma.iter().filter(|&&y| y == 0 || y == 255).count();
+    let num_clipped: u64 = luma
+        .chunks(255)
+        .map(|chunk| {
+            u64::from(
+                chunk
+                    .iter()
+                    .map(|&y| u8::from(y == 0 || y == 255))
+                    .sum::<u8>(),
+            )
+        })
+        .sum();
     FrameQuality {
         sharpness: sharpness(image) as f32,
         mean_luma: (sum as f64 / (255.0 * num_pixels)) as f32,
@@ -49,7 +59,7 @@ pub fn measure_luma(image: &LumaImage) -> FrameQuality {
 /// Luma summed over 2×2 pixels; an odd last row or column is left out.
 struct HalfLuma {
     width: usize,
-    sums: Vec<i32>,
+    sums: Vec<i16>,
 }
 
 impl HalfLuma {
@@ -59,13 +69,11 @@ impl HalfLuma {
         let mut sums = Vec::with_capacity(width * (image.height() as usize / 2));
         for rows in image.luma().chunks_exact(2 * full_width) {
             let (upper, lower) = rows.split_at(full_width);
+            let (upper, lower) = (upper.as_chunks().0, lower.as_chunks().0);
             sums.extend(
-                upper
-                    .chunks_exact(2)
-                    .zip(lower.chunks_exact(2))
-                    .map(|(a, b)| {
-                        i32::from(a[0]) + i32::from(a[1]) + i32::from(b[0]) + i32::from(b[1])
-                    }),
+                upper.iter().zip(lower).map(|([a, b], [c, d])| {
+                    [a, b, c, d].map(|&y| i16::from(y)).iter().sum::<i16>()
+                }),
             );
         }
         Self { width, sums }
@@ -80,15 +88,30 @@ struct EdgeEnergy {
     difference: u64,
 }
 
+/// Squares of up to 2040² are summed in 32 bits over this many pixels.
+const CHUNK: usize = 256;
+
 impl EdgeEnergy {
-    fn add(&mut self, before: i32, here: i32, after: i32) {
-        let difference = after - before;
-        // Written without a branch: edges are unpredictable.
-        let is_edge = i32::from(difference.abs() >= 4 * MIN_EDGE);
-        let laplacian = (before + after - 2 * here) * is_edge;
-        let difference = difference * is_edge;
-        self.laplacian += u64::from((laplacian * laplacian).unsigned_abs());
-        self.difference += u64::from((difference * difference).unsigned_abs());
+    /// Adds a run of pixels with their neighbours before and after; all of one length. In 16 bits
+    /// and without branches, which compilers turn into eight pixels at a time.
+    fn add(&mut self, before: &[i16], here: &[i16], after: &[i16]) {
+        let chunks = before
+            .chunks(CHUNK)
+            .zip(here.chunks(CHUNK))
+            .zip(after.chunks(CHUNK));
+        for ((before, here), after) in chunks {
+            let (mut laplacians, mut differences) = (0i32, 0i32);
+            for ((&b, &h), &a) in before.iter().zip(here).zip(after) {
+                let difference = a - b;
+                let is_edge = -i16::from(difference.abs() >= 4 * MIN_EDGE);
+                let laplacian = (b + a - 2 * h) & is_edge;
+                let difference = difference & is_edge;
+                laplacians += i32::from(laplacian) * i32::from(laplacian);
+                differences += i32::from(difference) * i32::from(difference);
+            }
+            self.laplacian += u64::from(laplacians.unsigned_abs());
+            self.difference += u64::from(differences.unsigned_abs());
+        }
     }
 
     fn ratio(self, num_pixels: usize) -> f64 {
@@ -101,20 +124,17 @@ impl EdgeEnergy {
 
 fn sharpness(image: &LumaImage) -> f64 {
     let half = HalfLuma::new(image);
-    if half.width < 3 || half.sums.len() < 3 * half.width {
+    let width = half.width;
+    if width < 3 || half.sums.len() < 3 * width {
         return PRIOR_SHARPNESS;
     }
     let mut along_x = EdgeEnergy::default();
     let mut along_y = EdgeEnergy::default();
-    let rows: Vec<&[i32]> = half.sums.chunks_exact(half.width).collect();
-    for window in rows.windows(3) {
-        let (above, here, below) = (window[0], window[1], window[2]);
-        for triple in here.windows(3) {
-            along_x.add(triple[0], triple[1], triple[2]);
-        }
-        for ((&a, &h), &b) in above.iter().zip(here).zip(below) {
-            along_y.add(a, h, b);
-        }
+    for rows in half.sums.windows(3 * width).step_by(width) {
+        let (above, rest) = rows.split_at(width);
+        let (here, below) = rest.split_at(width);
+        along_x.add(&here[..width - 2], &here[1..width - 1], &here[2..]);
+        along_y.add(above, here, below);
     }
     let num_pixels = half.sums.len();
     along_x.ratio(num_pixels).min(along_y.ratio(num_pixels))
@@ -162,6 +182,11 @@ mod tests {
             .collect()
     }
 
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "clamped to a byte"
+    )]
     fn quality(image: &[f64]) -> FrameQuality {
         let pixels = image
             .iter()

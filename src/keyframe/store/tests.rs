@@ -1,0 +1,325 @@
+use std::f64::consts::TAU;
+
+use nalgebra::{UnitQuaternion, Vector3};
+use proptest::prelude::*;
+use rayon::prelude::*;
+
+use super::*;
+use crate::geom::{
+    CameraModel, ColorImage, Distortion, EncodedDepth, PinholeCamera, RigidTransform, Stamp,
+};
+
+const WIDTH: u32 = 64;
+const HEIGHT: u32 = 48;
+
+fn camera(distortion: Distortion) -> CameraModel {
+    CameraModel {
+        pinhole: PinholeCamera::new([60.0, 60.0, 31.5, 23.5], WIDTH, HEIGHT).unwrap(),
+        distortion,
+    }
+}
+
+/// Cells of random brightness; `blur` averages over that many pixels to the right.
+fn image(seed: u32, blur: u32) -> EncodedColor {
+    let cell = |x: u32, y: u32| {
+        ((x / 5 * 7919 + y / 4 * 104_729 + seed).wrapping_mul(2_654_435_761)) >> 24
+    };
+    let pixels = (0..WIDTH * HEIGHT)
+        .map(|i| {
+            let (x, y) = (i % WIDTH, i / WIDTH);
+            let sum: u32 = (0..=blur).map(|k| cell(x + k, y)).sum();
+            [u8::try_from(sum / (blur + 1)).unwrap(); 3]
+        })
+        .collect();
+    EncodedColor::png_from_image(&ColorImage::new(WIDTH, HEIGHT, pixels).unwrap()).unwrap()
+}
+
+fn depth() -> FrameDepth {
+    let depth_mm = vec![1500u16; (WIDTH * HEIGHT) as usize];
+    FrameDepth {
+        image: EncodedDepth::png_from_u16_mm(WIDTH, HEIGHT, &depth_mm).unwrap(),
+        camera: camera(Distortion::None),
+        depth_from_color: RigidTransform::identity(),
+    }
+}
+
+/// Looks outwards at an angle from the middle of a round room.
+fn frame(i: i64, angle_rad: f64, color: EncodedColor) -> PosedFrame {
+    let rotation = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), angle_rad);
+    PosedFrame {
+        stamp: Stamp::from_nanos(i * 100_000_000),
+        world_from_camera: RigidTransform::from_parts(
+            rotation,
+            rotation * Vector3::new(0.0, 0.0, 0.2),
+        ),
+        color,
+        color_camera: camera(Distortion::None),
+        depth: Some(depth()),
+    }
+}
+
+fn ids(store: &KeyframeStore) -> Vec<u32> {
+    store.keyframes().map(|k| k.id.0).collect()
+}
+
+/// Largest angle between neighbouring kept views of the ring.
+fn largest_gap_rad(store: &KeyframeStore) -> f64 {
+    let mut angles: Vec<f64> = store
+        .keyframes()
+        .map(|k| {
+            let axis = k.world_from_camera.rotation() * Vector3::z();
+            axis.x.atan2(axis.z)
+        })
+        .collect();
+    angles.sort_by(f64::total_cmp);
+    let wrapped = angles[0] + TAU;
+    angles
+        .iter()
+        .skip(1)
+        .chain([&wrapped])
+        .zip(&angles)
+        .map(|(b, a)| b - a)
+        .fold(0.0, f64::max)
+}
+
+fn ring(budget_mb: f64) -> KeyframeStore {
+    let mut store = KeyframeStore::new(&KeyframeParams {
+        budget_mb,
+        ..KeyframeParams::default()
+    });
+    for i in 0..108u32 {
+        // Three rounds, each a little off the last.
+        let angle = (f64::from(i) / 36.0 + f64::from(i / 36) * 0.01) * TAU;
+        store.offer(frame(i64::from(i), angle, image(i, 0)));
+    }
+    store
+}
+
+#[test]
+fn eviction_keeps_the_budget_and_the_ring() {
+    let one = encoded_bytes(&image(0, 0), Some(&depth()));
+    let unbounded = ring(512.0);
+    assert!(unbounded.len() >= 36, "{:?}", unbounded.report());
+    let budget_mb = 14.5 * one as f64 * 1e-6;
+    let store = ring(budget_mb);
+    assert!(store.num_bytes() as f64 <= budget_mb * 1e6);
+    assert!(store.len() >= 12, "{:?}", store.report());
+    assert!(store.report().num_evicted > 0);
+    // Even spacing of 12 would be 30°; a view is 56° wide.
+    let gap_rad = largest_gap_rad(&store);
+    assert!(gap_rad.to_degrees() < 56.0, "{}", gap_rad.to_degrees());
+    assert_eq!(ids(&store), ids(&ring(budget_mb)));
+}
+
+#[test]
+fn the_last_view_of_a_place_stays() {
+    let one = encoded_bytes(&image(0, 0), Some(&depth()));
+    let mut store = KeyframeStore::new(&KeyframeParams {
+        budget_mb: 6.5 * one as f64 * 1e-6,
+        ..KeyframeParams::default()
+    });
+    let Admission::Kept(lonely) = store.offer(frame(0, TAU / 2.0, image(0, 0))) else {
+        panic!("the first frame is kept");
+    };
+    for i in 1..40u32 {
+        let angle = f64::from(i % 8) * 0.18 + f64::from(i / 8) * 0.05;
+        store.offer(frame(i64::from(i) * 10, angle, image(i, 0)));
+    }
+    assert!(store.report().num_evicted + store.report().rejected_by_reason.len() as u64 > 0);
+    assert!(store.keyframes().any(|k| k.id == lonely));
+}
+
+#[test]
+fn a_sharper_frame_of_the_same_view_replaces_a_dull_one() {
+    let mut store = KeyframeStore::new(&KeyframeParams::default());
+    assert_eq!(
+        store.offer(frame(0, 0.0, image(1, 4))),
+        Admission::Kept(KeyframeId(0))
+    );
+    assert_eq!(
+        store.offer(frame(1, 0.001, image(1, 4))),
+        Admission::Rejected(RejectReason::SameView)
+    );
+    assert_eq!(
+        store.offer(frame(2, 0.002, image(1, 0))),
+        Admission::Replaced {
+            id: KeyframeId(1),
+            replaced: KeyframeId(0)
+        }
+    );
+    assert_eq!(ids(&store), [1]);
+}
+
+#[test]
+fn blurred_frames_go_unless_they_show_something_new() {
+    let mut store = KeyframeStore::new(&KeyframeParams::default());
+    for i in 0..8 {
+        store.offer(frame(i, i as f64 * 0.5, image(1, 0)));
+    }
+    let blurred = Admission::Rejected(RejectReason::Blurred);
+    assert_eq!(store.offer(frame(8, 1.75, image(1, 8))), blurred);
+    let far = store.offer(frame(9, 5.0, image(1, 8)));
+    assert!(matches!(far, Admission::Kept(_)), "{far:?}");
+}
+
+#[test]
+fn sparse_frames_need_less_motion_and_a_camera_at_rest_gives_one() {
+    let mut store = KeyframeStore::new(&KeyframeParams::default());
+    for i in 0..20 {
+        let _kept = store.offer(frame(i * 10, i as f64 * 0.03, image(1, 0)));
+    }
+    assert_eq!(store.len(), 20);
+    for i in 0..20 {
+        let _kept = store.offer(frame(1_000 + i * 10, 1.5, image(1, 0)));
+    }
+    assert_eq!(store.len(), 21);
+}
+
+#[test]
+fn bad_images_are_refused_and_bad_depth_costs_only_itself() {
+    let mut store = KeyframeStore::new(&KeyframeParams::default());
+    let black = ColorImage::new(WIDTH, HEIGHT, vec![[0; 3]; (WIDTH * HEIGHT) as usize]);
+    let black = EncodedColor::png_from_image(&black.unwrap()).unwrap();
+    assert_eq!(
+        store.offer(frame(0, 0.0, black)),
+        Admission::Rejected(RejectReason::BadExposure)
+    );
+    let mut wrong_size = frame(0, 0.0, image(1, 0));
+    wrong_size.color_camera.pinhole = wrong_size.color_camera.pinhole.resized(9, 9).unwrap();
+    assert!(matches!(
+        store.offer(wrong_size),
+        Admission::Rejected(RejectReason::BadImage(ImageError::Length { .. }))
+    ));
+    let mut bytes = image(1, 0).bytes().to_vec();
+    let middle = bytes.len() / 2;
+    bytes[middle..].fill(0xff);
+    if let Ok(broken) = EncodedColor::from_file(bytes.into()) {
+        assert!(matches!(
+            store.offer(frame(0, 0.0, broken)),
+            Admission::Rejected(RejectReason::BadImage(_))
+        ));
+    }
+    let mut bad_depth = frame(0, 0.0, image(1, 0));
+    if let Some(half) = &mut bad_depth.depth {
+        half.camera.pinhole = half.camera.pinhole.resized(9, 9).unwrap();
+    }
+    assert!(matches!(store.offer(bad_depth), Admission::Kept(_)));
+    assert!(store.keyframes().all(|k| k.depth.is_none()));
+    assert_eq!(store.report().num_depth_refused, 1);
+    let mut store = KeyframeStore::new(&KeyframeParams {
+        budget_mb: 1e-5,
+        ..KeyframeParams::default()
+    });
+    assert_eq!(
+        store.offer(frame(0, 0.0, image(1, 0))),
+        Admission::Rejected(RejectReason::LargerThanBudget)
+    );
+}
+
+#[test]
+fn raw_images_are_stored_compressed_and_decode_to_the_same_pixels() {
+    let recorded = image(3, 2).decode().unwrap();
+    let raw = EncodedColor::from_raw(
+        crate::geom::ColorEncoding::Rgb8,
+        WIDTH,
+        HEIGHT,
+        WIDTH * 3,
+        recorded.pixels().as_flattened().into(),
+    )
+    .unwrap();
+    let mut store = KeyframeStore::new(&KeyframeParams::default());
+    store.offer(frame(0, 0.0, raw.clone()));
+    let keyframe = store.keyframes().next().unwrap().clone();
+    assert!(keyframe.color.bytes().len() < raw.bytes().len());
+    assert_eq!(store.decode(&keyframe).unwrap().color, recorded);
+}
+
+#[test]
+fn decoding_does_not_depend_on_the_cache_nor_on_threads() {
+    let distortion = Distortion::PlumbBob([-0.2, 0.05, 0.001, 0.0, 0.0]);
+    let fill = |decode_cache_mb| {
+        let mut store = KeyframeStore::new(&KeyframeParams {
+            decode_cache_mb,
+            ..KeyframeParams::default()
+        });
+        for i in 0..30u32 {
+            let mut frame = frame(i64::from(i), f64::from(i) * 0.2, image(i, 0));
+            frame.color_camera = camera(distortion);
+            store.offer(frame);
+        }
+        store
+    };
+    let one_mb = 64.0 * 48.0 * 7.0 * 1e-6;
+    let (none, some, all) = (fill(0.0), fill(7.5 * one_mb), fill(100.0));
+    for _ in 0..3 {
+        let decoded = |store: &KeyframeStore| -> Vec<Arc<DecodedFrame>> {
+            let keyframes: Vec<_> = store.keyframes().cloned().collect();
+            keyframes
+                .par_iter()
+                .map(|k| store.decode(k).unwrap())
+                .collect()
+        };
+        let expected = decoded(&none);
+        assert_eq!(decoded(&some), expected);
+        assert_eq!(decoded(&all), expected);
+    }
+    assert_eq!(none.cache_report().num_decoded, 90);
+    let some = some.cache_report();
+    assert!(some.peak_bytes as f64 <= 7.5 * one_mb * 1e6 && some.num_decoded < 90);
+    assert!(all.cache_report().num_decoded < 60);
+}
+
+#[test]
+fn a_stale_cache_takes_newcomers() {
+    let mut store = KeyframeStore::new(&KeyframeParams {
+        decode_cache_mb: 1.5 * 64.0 * 48.0 * 7.0 * 1e-6,
+        ..KeyframeParams::default()
+    });
+    store.offer(frame(0, 0.0, image(0, 0)));
+    store.offer(frame(1, 1.0, image(1, 0)));
+    let keyframes: Vec<_> = store.keyframes().cloned().collect();
+    store.decode(&keyframes[0]).unwrap();
+    for _ in 0..200 {
+        store.decode(&keyframes[1]).unwrap();
+    }
+    assert!(store.cache_report().num_decoded < 100);
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(24))]
+    #[test]
+    fn any_sequence_keeps_the_budget_and_the_counts(
+        poses in prop::collection::vec((-3.2f64..3.2, 0i64..400, 0u32..6), 1..40),
+        num_frames in 1.2f64..8.0,
+    ) {
+        let one = encoded_bytes(&image(0, 0), Some(&depth()));
+        let budget_mb = num_frames * one as f64 * 1e-6;
+        let mut store = KeyframeStore::new(&KeyframeParams {
+            budget_mb,
+            ..KeyframeParams::default()
+        });
+        for (angle, time, blur) in poses {
+            store.offer(frame(time, angle, image(7, blur)));
+            prop_assert!(store.num_bytes() as f64 <= budget_mb * 1e6);
+            let held: usize = store
+                .keyframes()
+                .map(|k| encoded_bytes(&k.color, k.depth.as_ref()))
+                .sum();
+            prop_assert_eq!(held, store.num_bytes());
+        }
+        // The counts kept up to date equal the counts made anew.
+        for stored in store.stored.values() {
+            let mut counts = [0; NUM_SAMPLES];
+            for other in store.stored.values().filter(|o| o.keyframe.id != stored.keyframe.id) {
+                let shown = stored.view.shown_by(&other.view);
+                for (i, count) in counts.iter_mut().enumerate() {
+                    *count += shown >> i & 1;
+                }
+            }
+            prop_assert_eq!(counts, stored.num_shown_by);
+        }
+        let report = store.report();
+        let num_rejected: u64 = report.rejected_by_reason.values().sum();
+        prop_assert_eq!(report.num_admitted + num_rejected, report.num_offered);
+    }
+}
