@@ -20,7 +20,7 @@ pub use error::BagError;
 pub use info::BagInfo;
 pub use mapped::metadata;
 pub use reader::BagReader;
-pub use roles::{MissingRole, PoseSource, TopicAssignment, TopicPlan, TopicRoles};
+pub use roles::{MissingRole, TopicAssignment, TopicPlan, TopicRoles};
 pub use writer::{BagSummary, BagWriter, ChannelId, Compression};
 
 #[cfg(test)]

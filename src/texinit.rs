@@ -13,9 +13,6 @@
 
 pub mod assign;
 pub mod density;
-//! TexInit: a texture atlas from a mesh and posed keyframes (L3).
-
-pub mod assign;
 pub mod fill;
 pub mod flatten;
 pub mod overlap;

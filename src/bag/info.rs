@@ -18,7 +18,8 @@ use super::error::BagError;
 use super::mapped::MappedBag;
 use super::reader::BagReader;
 use super::record::{MessageHeader, op};
-use super::roles::{MissingRole, PoseSource, TopicRoles, Topics};
+use super::roles::{MissingRole, TopicRoles, Topics};
+use crate::ingest::PoseSource;
 
 /// What a bag holds, what veneer would use of it, and what is missing.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]

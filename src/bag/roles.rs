@@ -9,25 +9,11 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use crate::ingest::PoseSource;
 use crate::wire::event::MessageType;
 use crate::wire::{TopicRole, camera_info::Rectification};
 
 use super::error::BagError;
-
-/// Where the camera's pose comes from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum PoseSource {
-    /// The TF tree if it moves the camera; else a pose topic; else odometry.
-    #[default]
-    Auto,
-    /// `/tf` and `/tf_static`.
-    Tf,
-    /// A `PoseStamped` or `PoseWithCovarianceStamped` topic.
-    Pose,
-    /// An `Odometry` topic.
-    Odom,
-}
 
 /// Topics by part, as configured; `None` = choose.
 #[derive(Clone, Debug, PartialEq, Eq, Default)]

@@ -2,7 +2,6 @@
 
 use super::Config;
 use super::parameter::{Access, Parameter};
-use crate::bag;
 use crate::export::NormalMode;
 use crate::export::pages::PageFormat;
 use crate::ingest::PoseSource;
@@ -176,12 +175,7 @@ fn set_pose_source(config: &mut Config, word: &str) {
         _ => PoseSource::Auto,
     };
     config.pipeline.ingest.pose_source = source;
-    config.topics.pose_source = match source {
-        PoseSource::Auto => bag::PoseSource::Auto,
-        PoseSource::Tf => bag::PoseSource::Tf,
-        PoseSource::Pose => bag::PoseSource::Pose,
-        PoseSource::Odom => bag::PoseSource::Odom,
-    };
+    config.topics.pose_source = source;
 }
 
 fn pose_source(config: &Config) -> &'static str {

@@ -165,20 +165,18 @@ fn bad_images_are_counted_and_the_others_used() {
         }
         let image = CompressedImage::decode(data).unwrap();
         let data = match index {
-            1 => &[][..],
+            1 => &b""[..],
             2 => &image.data[..image.data.len() / 3],
-            3 => b"not an image",
-            _ => image.data,
+            3 => &b"not an image"[..],
+            _ => &image.data,
         };
-        let format = if index == 4 { "webp" } else { image.format };
-        Some(
-            CompressedImage {
-                data,
-                format,
-                ..image
-            }
-            .encode(),
-        )
+        let format = if index == 4 { "webp" } else { &image.format };
+        let broken = CompressedImage {
+            header: image.header,
+            data: data.into(),
+            format: format.into(),
+        };
+        Some(broken.encode())
     });
     let outcome = replay(&broken);
     outcome.assert_succeeds();
@@ -196,8 +194,11 @@ fn bad_depth_images_leave_the_colour_frames() {
             return Some(data.to_vec());
         }
         let image = CompressedImage::decode(data).unwrap();
-        let data = &image.data[..image.data.len() / 2];
-        Some(CompressedImage { data, ..image }.encode())
+        let half = CompressedImage {
+            data: image.data[..image.data.len() / 2].into(),
+            ..image.clone()
+        };
+        Some(half.encode())
     });
     let outcome = replay(&broken);
     outcome.assert_succeeds();
@@ -219,8 +220,8 @@ fn bad_poses_are_counted_and_the_others_used() {
         for transform in &mut message.transforms {
             match index {
                 1 => transform.transform.position_m[0] = f64::NAN,
-                2 => transform.transform.orientation_xyzw = [0.0; 4],
-                3 => transform.transform.orientation_xyzw = [2.0, 0.0, 0.0, 0.0],
+                2 => transform.transform.quaternion_xyzw = [0.0; 4],
+                3 => transform.transform.quaternion_xyzw = [2.0, 0.0, 0.0, 0.0],
                 _ => {}
             }
         }
