@@ -7,6 +7,9 @@ use crate::pipeline::Run;
 use crate::report::SyntheticScore;
 use crate::synth::{self, GroundTruth};
 
+/// Surfaces whose error goes to the log, the largest total error first.
+const NUM_WORST_SURFACES: usize = 12;
+
 /// The score, when the bag says which scene it shows; `None` for any other recording.
 ///
 /// # Errors
@@ -17,6 +20,14 @@ pub(super) fn against_truth(bag: &Path, run: &Run) -> anyhow::Result<Option<Synt
     };
     let truth = GroundTruth::from_metadata(&description)?;
     let score = synth::score(&run.mesh, &run.texinit.layout, &run.texinit.texture, &truth);
+    for surface in score.surfaces.iter().take(NUM_WORST_SURFACES) {
+        tracing::info!(
+            surface = surface.name,
+            num_texels = surface.num_texels,
+            mean_abs_error_255 = surface.mean_abs_error_255,
+            "error against the known texture"
+        );
+    }
     Ok(Some(SyntheticScore {
         num_texels: score.num_seen_texels,
         mean_abs: score.mean_abs_error_255,
