@@ -4,9 +4,20 @@
 //! is memory-mapped and in the order of log times; what a damaged or cut-off bag still holds is
 //! read, and the loss is told in words.
 
+mod chunk;
 pub mod error;
+mod index;
+mod peek;
+pub mod reader;
+mod record;
+pub mod roles;
 pub mod scan_writer;
 pub mod writer;
 
 pub use error::BagError;
+pub use reader::{BagReader, metadata};
+pub use roles::{MissingRole, PoseSource, TopicAssignment, TopicPlan, TopicRoles};
 pub use writer::{BagSummary, BagWriter, ChannelId, Compression};
+
+#[cfg(test)]
+mod tests;

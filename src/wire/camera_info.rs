@@ -100,8 +100,8 @@ pub enum Rectification {
     /// The image as the sensor gave it: `k` and the lens.
     #[default]
     Raw,
-    /// An image that `image_proc` rectified: `p` and no lens. The small rotation `r` of stereo
-    /// pairs is part of what the optical frame then means.
+    /// An image that `image_proc` rectified: `p` (`k` where `p` is unset) and no lens. The small
+    /// rotation `r` of stereo pairs is part of what the optical frame then means.
     Rectified,
 }
 
@@ -113,8 +113,10 @@ impl<'a> CameraInfo<'a> {
     /// [`WireError::Camera`] when the matrix is unset or the lens unknown.
     pub fn to_camera(&self, rectification: Rectification) -> Result<CameraModel, WireError> {
         let intrinsics = match rectification {
-            Rectification::Raw => [self.k[0], self.k[4], self.k[2], self.k[5]],
-            Rectification::Rectified => [self.p[0], self.p[5], self.p[2], self.p[6]],
+            Rectification::Rectified if self.p[0] != 0.0 => {
+                [self.p[0], self.p[5], self.p[2], self.p[6]]
+            }
+            _ => [self.k[0], self.k[4], self.k[2], self.k[5]],
         };
         let distortion = match rectification {
             Rectification::Raw => Distortion::from_ros(self.distortion_model, &self.d)?,

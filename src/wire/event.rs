@@ -41,6 +41,23 @@ pub enum TopicRole {
     Mesh,
 }
 
+impl TopicRole {
+    /// The role in words.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Color => "colour images",
+            Self::Depth => "depth images",
+            Self::ColorInfo => "colour camera info",
+            Self::DepthInfo => "depth camera info",
+            Self::Transforms => "moving transforms",
+            Self::StaticTransforms => "static transforms",
+            Self::Pose => "camera pose",
+            Self::Odometry => "odometry",
+            Self::Mesh => "mesh",
+        }
+    }
+}
+
 /// The message types that veneer reads.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum MessageType {

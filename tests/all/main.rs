@@ -1,1 +1,2 @@
 //! The one integration binary: each file is one subject.
+mod import;
