@@ -1,3 +1,8 @@
 //! All benches, one criterion binary.
 
-fn main() {}
+use criterion::{criterion_group, criterion_main};
+
+mod bag;
+
+criterion_group!(benches, bag::bench);
+criterion_main!(benches);

@@ -7,6 +7,8 @@
 mod chunk;
 pub mod error;
 mod index;
+pub mod info;
+mod mapped;
 mod peek;
 pub mod reader;
 mod record;
@@ -15,7 +17,9 @@ pub mod scan_writer;
 pub mod writer;
 
 pub use error::BagError;
-pub use reader::{BagReader, metadata};
+pub use info::BagInfo;
+pub use mapped::metadata;
+pub use reader::BagReader;
 pub use roles::{MissingRole, PoseSource, TopicAssignment, TopicPlan, TopicRoles};
 pub use writer::{BagSummary, BagWriter, ChannelId, Compression};
 

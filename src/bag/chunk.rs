@@ -14,7 +14,7 @@ pub(super) struct Unpacked<'a> {
     pub(super) bytes: &'a [u8],
     /// Whether `bytes` are in the workspace rather than in the file.
     pub(super) in_workspace: bool,
-    /// Offset of `bytes` in the file or the workspace.
+    /// Offset of `bytes` in the segment's stretch of the file, or in the workspace.
     pub(super) offset: usize,
     /// What is missing, in words.
     pub(super) loss: Option<String>,
@@ -44,29 +44,30 @@ impl Unpacked<'_> {
 /// Larger chunks are refused: no writer makes them, and memory has an end.
 const MAX_CHUNK_BYTES: u64 = 4 << 30;
 
-/// The records of a segment: in the file where they lie uncompressed, else in `workspace`.
+/// The records of a segment whose stretch of the file is `stretch`: there where they lie
+/// uncompressed, else in `workspace`.
 pub(super) fn unpack<'a>(
-    file: &'a [u8],
+    stretch: &'a [u8],
     place: &Place,
     workspace: &'a mut Vec<u8>,
 ) -> Unpacked<'a> {
     let start = match place {
-        Place::Loose(range) => {
+        Place::Loose(_) => {
             return Unpacked {
-                bytes: &file[range.clone()],
+                bytes: stretch,
                 in_workspace: false,
-                offset: range.start,
+                offset: 0,
                 loss: None,
             };
         }
-        Place::Chunk(start) => *start,
+        Place::Chunk(range) => range.start,
     };
-    let body = match record::record_at(file, start, file.len()) {
-        Ok(record) if record.opcode == op::CHUNK => &file[record.body],
+    let body = match record::record_at(stretch, 0, stretch.len()) {
+        Ok(record) if record.opcode == op::CHUNK => &stretch[record.body],
         Err(Broken::CutOff {
             opcode: Some(op::CHUNK),
             ..
-        }) => &file[record::body_start(start)..],
+        }) => &stretch[record::body_start(0)..],
         _ => &[],
     };
     let Some(header) = ChunkHeader::parse(body) else {
@@ -74,7 +75,7 @@ pub(super) fn unpack<'a>(
             "there is no chunk at byte {start}: its messages are lost"
         ));
     };
-    let offset = record::body_start(start) + header.num_bytes;
+    let offset = record::body_start(0) + header.num_bytes;
     let stored = &body[header.num_bytes..];
     let stored_size = usize::try_from(header.compressed_size).unwrap_or(usize::MAX);
     let is_cut_off = stored_size > stored.len();

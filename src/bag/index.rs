@@ -25,13 +25,20 @@ pub(super) struct Segment {
     pub(super) channels: Option<BTreeSet<u16>>,
 }
 
-/// Where the records of a segment lie.
+/// Where the records of a segment lie in the file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Place {
-    /// In the chunk record that starts here. Its last byte may lie past the end of the file.
-    Chunk(usize),
+    /// In this chunk record, which may be cut off by the end of the file.
+    Chunk(Range<usize>),
     /// Here, as they are.
     Loose(Range<usize>),
+}
+
+impl Place {
+    pub(super) fn range(&self) -> Range<usize> {
+        let (Self::Chunk(range) | Self::Loose(range)) = self;
+        range.clone()
+    }
 }
 
 /// A topic of one type from one publisher.
@@ -64,8 +71,10 @@ pub(super) struct BagIndex {
     orphans: Vec<Channel>,
 }
 
-/// A stretch of loose messages is cut after so many, so that opening one stays cheap.
+/// A stretch of loose messages is cut after so many, so that opening one stays cheap …
 const MAX_LOOSE_MESSAGES: usize = 1024;
+/// … or after so many bytes, so that it takes no more memory than a chunk.
+const MAX_LOOSE_BYTES: usize = 4 << 20;
 
 impl BagIndex {
     /// The index of a file that starts with [`MAGIC`].
@@ -175,7 +184,8 @@ impl BagIndex {
                 continue;
             }
             // Losses are told when the segment is read for its messages.
-            let data = chunk::unpack(bytes, &segment.place, &mut workspace);
+            let records = &bytes[segment.place.range()];
+            let data = chunk::unpack(records, &segment.place, &mut workspace);
             let mut channels = BTreeSet::new();
             for record in data.records() {
                 let body = &data.bytes[record.body.clone()];
@@ -257,11 +267,10 @@ impl Walk<'_> {
         listed: &ChunkIndex,
         index: &mut BagIndex,
     ) -> Option<usize> {
-        let length = listed
-            .chunk_length
-            .checked_add(listed.message_index_length)?;
-        let next = at.checked_add(usize::try_from(length).ok()?)?;
-        if next <= at || next > self.data_end {
+        let chunk_end = at.checked_add(usize::try_from(listed.chunk_length).ok()?)?;
+        let indexes = usize::try_from(listed.message_index_length).ok()?;
+        let next = chunk_end.checked_add(indexes)?;
+        if chunk_end <= at || next > self.data_end {
             return None;
         }
         self.flush(index);
@@ -270,7 +279,7 @@ impl Walk<'_> {
         index.segments.push(Segment {
             start_time: listed.start_time,
             end_time: listed.end_time,
-            place: Place::Chunk(at),
+            place: Place::Chunk(at..chunk_end),
             channels: has_indexes.then(|| listed.channels.iter().copied().collect()),
         });
         Some(next)
@@ -284,7 +293,7 @@ impl Walk<'_> {
             op::MESSAGE => self.loose_message(record, index),
             op::CHUNK => {
                 self.flush(index);
-                self.start_chunk(record.start, body);
+                self.start_chunk(record.start..record.body.end, body);
             }
             op::MESSAGE_INDEX => {
                 if let Some(chunk) = &mut self.pending_chunk {
@@ -297,12 +306,12 @@ impl Walk<'_> {
         }
     }
 
-    fn start_chunk(&mut self, start: usize, body: &[u8]) {
+    fn start_chunk(&mut self, range: Range<usize>, body: &[u8]) {
         if let Some(header) = ChunkHeader::parse(body) {
             self.pending_chunk = Some(Segment {
                 start_time: header.start_time,
                 end_time: header.end_time,
-                place: Place::Chunk(start),
+                place: Place::Chunk(range),
                 channels: None,
             });
         }
@@ -312,11 +321,10 @@ impl Walk<'_> {
         let Some(message) = MessageHeader::parse(&self.bytes[record.body.clone()]) else {
             return;
         };
-        if self
-            .loose
-            .as_ref()
-            .is_none_or(|(_, n)| *n == MAX_LOOSE_MESSAGES)
-        {
+        let is_full = |(segment, num_messages): &(Segment, usize)| {
+            *num_messages == MAX_LOOSE_MESSAGES || segment.place.range().len() > MAX_LOOSE_BYTES
+        };
+        if self.loose.as_ref().is_none_or(is_full) {
             self.flush(index);
             let segment = Segment {
                 start_time: message.log_time,
@@ -349,6 +357,10 @@ impl Walk<'_> {
 
     /// Where to go on after a break in the framing, if anywhere.
     fn broken(&mut self, at: usize, broken: &Broken, index: &mut BagIndex) -> Option<usize> {
+        // Some of its message indexes may be behind the break.
+        if let Some(chunk) = &mut self.pending_chunk {
+            chunk.channels = None;
+        }
         // A chunk that is cut off still gives its first messages.
         if let Broken::CutOff {
             opcode: Some(op::CHUNK),
@@ -356,7 +368,8 @@ impl Walk<'_> {
         } = broken
         {
             self.flush(index);
-            self.start_chunk(at, &self.bytes[record::body_start(at)..]);
+            let body = &self.bytes[record::body_start(at)..];
+            self.start_chunk(at..self.bytes.len(), body);
         }
         self.flush(index);
         let next = self.next_listed(at);

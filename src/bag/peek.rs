@@ -7,7 +7,7 @@ use crate::wire::{
     CameraInfo, CompressedImage, Image, Marker, MarkerArray, Message, TfMessage, TopicRole, marker,
 };
 
-use super::reader::MappedBag;
+use super::mapped::MappedBag;
 use super::roles::{Peek, Topics};
 
 /// So many messages of a marker topic are looked at for triangles.

@@ -26,22 +26,22 @@ fn header(nanos: u64) -> WireHeader<'static> {
 
 /// Colour, depth and TF messages, and a topic that nobody reads, at 1 ms steps.
 fn messages(num: u64) -> Vec<(usize, u64, Vec<u8>)> {
-    let pixels: Vec<u8> = (0..=255).cycle().take(16 * 12 * 3).collect();
+    let pixels: Vec<u8> = (0..=255).cycle().take(4 * 3 * 3).collect();
     (0..num)
         .map(|i| {
             let nanos = 1_000_000 * (i + 1);
             let image = |encoding, step| Image {
                 header: header(nanos),
-                height: 12,
-                width: 16,
+                height: 3,
+                width: 4,
                 encoding,
                 is_bigendian: false,
                 step,
-                data: &pixels[..12 * step as usize],
+                data: &pixels[..3 * step as usize],
             };
             let bytes = match i % 4 {
-                0 => image("rgb8", 48).encode(),
-                1 => image("16UC1", 32).encode(),
+                0 => image("rgb8", 12).encode(),
+                1 => image("16UC1", 8).encode(),
                 2 => TfMessage {
                     transforms: vec![TransformStamped {
                         header: header(nanos),
@@ -96,7 +96,7 @@ fn write(options: WriteOptions, messages: &[(usize, u64, Vec<u8>)]) -> Vec<u8> {
 
 fn shapes() -> Vec<(&'static str, WriteOptions)> {
     let plain = || WriteOptions::new().compression(None).compression_threads(0);
-    let small = |o: WriteOptions| o.chunk_size(Some(2500));
+    let small = |o: WriteOptions| o.chunk_size(Some(600));
     let bare = |o: WriteOptions| {
         o.emit_summary_records(false)
             .emit_summary_offsets(false)
@@ -209,44 +209,33 @@ fn seeking_continues_at_the_time_asked_for() {
 
 #[test]
 fn truncation_at_any_byte_gives_a_prefix() {
-    let messages = messages(24);
-    let all = expected(&messages);
-    let roles = TopicRoles {
-        color: Some(TOPICS[0].0.into()),
-        ..TopicRoles::default()
-    };
+    let messages = messages(16);
     for (shape, options) in shapes() {
         let bytes = write(options, &messages);
         let (whole, _) = read(&bytes);
-        let mut longest = 0;
-        for length in 0..bytes.len() {
-            let Ok(mut reader) = open(&bytes[..length], &roles) else {
-                // Too short for its magic, or for the record that names the topic.
-                assert_eq!(longest, 0, "{shape} {length}");
+        let mut num_events = whole.len();
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), &bytes).unwrap();
+        for length in (0..bytes.len()).rev() {
+            file.as_file().set_len(length as u64).unwrap();
+            let Ok(mut reader) = BagReader::open(file.path(), &TopicRoles::default()) else {
+                assert!(length < record::MAGIC.len(), "{shape} {length}");
                 continue;
             };
             let events: Vec<_> = std::iter::from_fn(|| reader.next_event()).collect();
-            let color = |events: &[TimedEvent]| -> Vec<TimedEvent> {
-                let of_topic = events
-                    .iter()
-                    .filter(|e| matches!(e.event, Ok(Event::Color(..))));
-                of_topic.cloned().collect()
-            };
-            let (part, whole) = (color(&events), color(&whole));
-            assert!(whole.starts_with(&part), "{shape} {length}");
-            assert!(
-                part.len() >= longest,
-                "{shape} {length}: {} events, had {longest}",
-                part.len()
-            );
-            longest = part.len();
             assert!(!reader.losses().is_empty(), "{shape} {length}");
+            let same = events.iter().zip(&whole).all(|(a, b)| a.event == b.event);
+            assert!(same && events.len() <= num_events, "{shape} {length}");
+            if length >= bytes.len() - record::MAGIC.len() {
+                assert_eq!(
+                    events.len(),
+                    whole.len(),
+                    "{shape}: only the end mark is cut"
+                );
+            }
+            num_events = events.len();
         }
-        assert_eq!(
-            longest,
-            all.len() / 3,
-            "{shape}: all but the end of the file holds every message"
-        );
+        assert_eq!(num_events, 0, "{shape}");
     }
 }
 
@@ -255,8 +244,14 @@ fn damage_inside_a_chunk_loses_that_chunk_and_says_so() {
     let messages = messages(60);
     for (shape, options) in shapes().into_iter().take(4).skip(1) {
         let mut bytes = write(options, &messages);
-        let middle = bytes.len() / 2;
-        bytes[middle] ^= 0x10;
+        let mut chunks = Vec::new();
+        let mut at = record::MAGIC.len();
+        while let Ok(record) = record::record_at(&bytes, at, bytes.len() - record::MAGIC.len()) {
+            at = record.body.end;
+            chunks.extend((record.opcode == record::op::CHUNK).then_some(record.body));
+        }
+        let middle = &chunks[chunks.len() / 2];
+        bytes[middle.end - middle.len() / 3] ^= 0x10;
         let (events, losses) = read(&bytes);
         assert_eq!(losses.len(), 1, "{shape} {losses:?}");
         let (read, all) = (stamps(&events), expected(&messages));
@@ -272,7 +267,7 @@ fn damage_inside_a_chunk_loses_that_chunk_and_says_so() {
 #[test]
 fn broken_framing_goes_on_at_the_next_chunk_of_the_index() {
     let messages = messages(60);
-    let options = || WriteOptions::new().compression(None).chunk_size(Some(2500));
+    let options = || WriteOptions::new().compression(None).chunk_size(Some(600));
     let mut bytes = write(options(), &messages);
     // The first message index record: its length points past everything.
     let mut at = record::MAGIC.len();
@@ -390,4 +385,58 @@ proptest! {
             prop_assert!(num_events <= 2 * messages.len());
         }
     }
+}
+
+#[test]
+fn info_counts_rates_gaps_refusals_and_what_is_missing() {
+    let mut messages = messages(80);
+    // A pause of 50 ms after the first half, and one broken depth image.
+    for message in &mut messages[40..] {
+        message.1 += 50_000_000;
+    }
+    messages[5].2.truncate(40);
+    let file = tempfile::NamedTempFile::new().unwrap();
+    std::fs::write(file.path(), write(WriteOptions::new(), &messages)).unwrap();
+    let info = BagInfo::read(file.path(), &TopicRoles::default()).unwrap();
+    let topic = |name: &str| info.topics.iter().find(|t| t.topic == name).unwrap();
+    let color = topic("/color/image_raw");
+    assert_eq!(
+        (color.num_messages, color.num_gaps, color.num_refused),
+        (20, 1, 0)
+    );
+    assert_eq!(color.roles, [TopicRole::Color]);
+    // 20 messages over 76 + 50 ms.
+    assert!((color.rate_hz.unwrap() - 19.0 / 0.126).abs() < 1e-6);
+    assert!((color.longest_gap_s - 0.054).abs() < 1e-9);
+    assert_eq!(color.encoding.as_deref(), Some("rgb8"));
+    let depth = topic("/depth/image_raw");
+    assert_eq!(
+        (depth.num_refused, depth.roles.as_slice()),
+        (1, &[TopicRole::Depth][..])
+    );
+    assert!(topic("/unused").roles.is_empty());
+    // Depth is 1 ms behind colour; the one whose partner is broken has its next 3 ms before.
+    let sync = info.sync.as_ref().unwrap();
+    assert_eq!((sync.num_color, sync.num_exact), (20, 0));
+    assert!((sync.median_s - 0.001).abs() < 1e-12 && (sync.max_s - 0.003).abs() < 1e-12);
+    let roles: Vec<_> = info.missing.iter().map(|m| m.role).collect();
+    assert_eq!(
+        roles,
+        [TopicRole::ColorInfo, TopicRole::DepthInfo, TopicRole::Mesh]
+    );
+    let words = info.to_string();
+    for part in [
+        "/color/image_raw  sensor_msgs/msg/Image  20 messages  150.8 Hz  1 gaps",
+        "used for colour images",
+        "1 refused, the first: 0.006000000: sensor_msgs/msg/Image.",
+        "record /color/camera_info",
+        "no mesh",
+    ] {
+        assert!(words.contains(part), "{part} in {words}");
+    }
+    assert!(
+        serde_json::to_string(&info)
+            .unwrap()
+            .contains("\"color_info\"")
+    );
 }

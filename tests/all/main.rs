@@ -1,2 +1,5 @@
 //! The one integration binary: each file is one subject.
 mod import;
+
+mod bag_interop;
+mod python;
