@@ -82,14 +82,18 @@ impl Growth {
             .collect()
     }
 
-    /// Share of the mesh's area that was seen.
+    /// Share of the area of the triangles with their middle in a region that was seen.
     #[cfg(test)]
-    pub(super) fn seen_area_share(&self) -> f64 {
-        let area = |wanted: &dyn Fn(usize) -> bool| {
-            let ids = self.mesh.triangle_ids().filter(|t| wanted(t.index()));
-            ids.map(|t| self.mesh.area_m2(t)).sum::<f64>()
-        };
-        area(&|index| self.is_seen[index]) / area(&|_| true)
+    pub(super) fn seen_area_share(&self, is_inside: impl Fn(&Point3<f64>) -> bool) -> f64 {
+        let (mut seen_m2, mut all_m2) = (0.0, 0.0);
+        for triangle in self.mesh.triangle_ids() {
+            if is_inside(&middle(&self.mesh, triangle)) {
+                let area_m2 = self.mesh.area_m2(triangle);
+                all_m2 += area_m2;
+                seen_m2 += area_m2 * f64::from(u8::from(self.is_seen[triangle.index()]));
+            }
+        }
+        seen_m2 / all_m2
     }
 
     fn submesh(&self, triangles: &[[u32; 3]]) -> TriMesh {

@@ -19,6 +19,8 @@ pub(super) struct Lighting {
     pub(super) ambient: Linear,
     /// Bodies nearer than this close the hemisphere, metres.
     pub(super) ambient_reach_m: f64,
+    /// More of it from below: what the floor throws back at a surface that faces down.
+    pub(super) bounce: Linear,
     /// Irradiance of a surface that faces the whole lamp, per channel.
     pub(super) lamp: Linear,
     /// Middle and the two half axes of the rectangular lamp, metres.
@@ -139,7 +141,11 @@ impl Lighting {
         let origin = surface.world_from_local.transform_point(&on_surface) + normal * LIFT_M;
         let openness = self.openness(&origin, &normal, bvh);
         let lamp = self.lamp_share(&origin, &normal, bvh);
-        std::array::from_fn(|c| self.ambient[c] * openness + self.lamp[c] * lamp)
+        #[expect(clippy::cast_possible_truncation, reason = "a cosine")]
+        let down = (-normal.z).max(0.0) as f32;
+        std::array::from_fn(|c| {
+            (self.ambient[c] + self.bounce[c] * down) * openness + self.lamp[c] * lamp
+        })
     }
 
     /// Cosine-weighted share of the hemisphere that is open; a body counts less the farther it

@@ -2,6 +2,7 @@
 
 pub(super) mod art;
 pub(super) mod furniture;
+pub(super) mod print;
 pub(super) mod room;
 pub(super) mod still_life;
 pub(super) mod tabletop;
@@ -39,6 +40,8 @@ enum SolidShape {
     Box([f64; 3]),
     /// x² + y² < r², 0 < z < h.
     Cylinder { radius_m: f64, height_m: f64 },
+    /// Of this radius, standing on the origin.
+    Ball(f64),
 }
 
 impl Solid {
@@ -48,6 +51,9 @@ impl Solid {
         match self.shape {
             SolidShape::Box([w, d, h]) => {
                 2.0 * p.x.abs() < w && 2.0 * p.y.abs() < d && p.z > 0.0 && p.z < h
+            }
+            SolidShape::Ball(radius_m) => {
+                p.x * p.x + p.y * p.y + (p.z - radius_m).powi(2) < radius_m * radius_m
             }
             SolidShape::Cylinder { radius_m, height_m } => {
                 p.x * p.x + p.y * p.y < radius_m * radius_m && p.z > 0.0 && p.z < height_m
@@ -151,7 +157,7 @@ impl SceneBuilder {
         self.begin_body();
         let [w, d, h] = size_m;
         let (x, y) = (w / 2.0, d / 2.0);
-        let frames: [(&str, [[f64; 3]; 3], [f64; 2]); 6] = [
+        let frames = [
             (
                 "front",
                 [[-x, -y, h], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]],
@@ -335,6 +341,10 @@ impl SceneBuilder {
             Shape::Sphere { radius_m },
             texture,
         );
+        self.solids.push(Solid {
+            solid_from_world: world_from_ball.inverse(),
+            shape: SolidShape::Ball(radius_m),
+        });
     }
 
     /// Lights the scene and closes the description.

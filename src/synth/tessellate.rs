@@ -9,6 +9,7 @@ use rayon::prelude::*;
 
 use crate::mesh::{MeshError, TriMesh};
 
+use super::bvh::Bvh;
 use super::hash::Stream;
 use super::options::SynthNoise;
 use super::scene::Scene;
@@ -31,13 +32,14 @@ pub(super) fn visible_patches(scene: &Scene, edge_m: f64) -> Vec<Patch> {
         let entry = segments_of_body.entry(surface.body).or_default();
         *entry = num.max(*entry);
     }
+    let bvh = Bvh::new(&scene.surfaces);
     scene
         .surfaces
         .par_iter()
         .map(|surface| {
             let segments = segments_of_body.get(&surface.body).copied().unwrap_or(24);
             let mut patch = cut(surface, edge_m * surface.edge_scale, segments);
-            patch.remove_hidden(scene);
+            patch.remove_hidden(scene, &bvh);
             patch
         })
         .collect()
@@ -209,11 +211,11 @@ impl<F: Fn(f64, f64) -> [f64; 2]> Grid<F> {
 }
 
 impl Patch {
-    fn remove_hidden(&mut self, scene: &Scene) {
+    fn remove_hidden(&mut self, scene: &Scene, bvh: &Bvh) {
         let is_visible: Vec<bool> = self
             .triangles
             .iter()
-            .map(|triangle| !self.is_hidden(triangle, scene))
+            .map(|triangle| !self.is_hidden(triangle, scene, bvh))
             .collect();
         let mut keep = is_visible.iter();
         self.triangles
@@ -223,10 +225,11 @@ impl Patch {
             .retain(|_| keep.next().copied().unwrap_or(true));
     }
 
-    /// Whether the air just above the triangle is inside bodies, at its middle and near its
-    /// corners.
-    fn is_hidden(&self, triangle: &[u32; 3], scene: &Scene) -> bool {
+    /// Whether the air just above the triangle is inside bodies, or is a gap too narrow for any
+    /// scanner, at its middle and near its corners.
+    fn is_hidden(&self, triangle: &[u32; 3], scene: &Scene, bvh: &Bvh) -> bool {
         const LIFT_M: f64 = 5e-4;
+        const GAP_M: f64 = 0.025;
         let [a, b, c] = triangle.map(|v| self.points_in_world[v as usize]);
         let Some(normal) = (b - a).cross(&(c - a)).try_normalize(0.0) else {
             return false;
@@ -236,7 +239,10 @@ impl Patch {
             |corner: Point3<f64>| middle + (corner - a + (a - middle) + normal * LIFT_M) * 0.9;
         [middle, near_corner(a), near_corner(b), near_corner(c)]
             .iter()
-            .all(|point| scene.solids.iter().any(|solid| solid.contains(point)))
+            .all(|point| {
+                scene.solids.iter().any(|solid| solid.contains(point))
+                    || bvh.nearest_hit(point, &normal, [0.0, GAP_M]).is_some()
+            })
     }
 }
 

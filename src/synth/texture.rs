@@ -423,7 +423,7 @@ mod tests {
     /// Mean over `n × n` points of the box, with no filter of their own.
     fn brute_force(texture: &Texture, uv: [f64; 2], width: [f64; 2]) -> Linear {
         let n = 64;
-        let mut sum = [0.0f64; 3];
+        let mut sum = [0.0f32; 3];
         for j in 0..n {
             for i in 0..n {
                 let at = |k: i32, axis: usize| {
@@ -431,11 +431,11 @@ mod tests {
                 };
                 let color = texture.radiance([at(i, 0), at(j, 1)], [1e-6; 2], WHITE);
                 for c in 0..3 {
-                    sum[c] += f64::from(color[c]) / f64::from(n * n);
+                    sum[c] += color[c] / (n * n) as f32;
                 }
             }
         }
-        sum.map(|v| v as f32)
+        sum
     }
 
     #[test]
@@ -456,13 +456,13 @@ mod tests {
             }
             .into(),
             Pattern::Stripes {
-                palette: vec![BLACK, WHITE, srgb(0xff_80_00)],
+                palette: vec![BLACK, WHITE, srgb(0xff8000)],
                 width_m: 0.02,
                 across_v: false,
             }
             .into(),
             Texture::from(Pattern::Plain(WHITE))
-                .with_decal([0.02, 0.01, 0.03, 0.02], Pattern::Plain(srgb(0x20_40_80))),
+                .with_decal([0.02, 0.01, 0.03, 0.02], Pattern::Plain(srgb(0x204080))),
         ];
         for (index, texture) in textures.iter().enumerate() {
             for k in 0..40 {

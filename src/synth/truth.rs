@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use nalgebra::{Point3, Vector3};
+use nalgebra::{Matrix3, Point3, Vector3};
 
 use super::hash::Stream;
 use super::options::{SceneName, SynthError};
@@ -21,6 +21,8 @@ pub(super) const SCENE_VERSION: &str = "1";
 pub struct GroundTruth {
     pub(super) scene: Arc<Scene>,
     cells: SurfaceCells,
+    /// Per surface: rotation and translation into its local frame.
+    local_from_world: Vec<(Matrix3<f64>, Vector3<f64>)>,
 }
 
 /// A point farther than this from every surface has no truth, metres.
@@ -43,7 +45,20 @@ impl GroundTruth {
 
     pub(super) fn of(scene: Arc<Scene>) -> Self {
         let cells = SurfaceCells::new(&scene.surfaces);
-        Self { scene, cells }
+        let local_from_world = scene
+            .surfaces
+            .iter()
+            .map(|surface| {
+                let local_from_world = surface.world_from_local.inverse();
+                let rotation = local_from_world.rotation().to_rotation_matrix();
+                (rotation.into_inner(), *local_from_world.translation())
+            })
+            .collect();
+        Self {
+            scene,
+            cells,
+            local_from_world,
+        }
     }
 
     /// The truth of a recording, from the metadata record named [`METADATA_NAME`].
@@ -104,15 +119,18 @@ impl GroundTruth {
         let mut best: Option<(f64, Match)> = None;
         for &index in self.cells.near(point_in_world) {
             let surface = &self.scene.surfaces[index as usize];
-            let local_from_world = surface.world_from_local.inverse();
-            let point = local_from_world.transform_point(point_in_world).coords;
+            let (rotation, translation) = &self.local_from_world[index as usize];
+            let point = rotation * point_in_world.coords + translation;
             let uv_m = surface.shape.nearest_uv(&point);
             let distance_m = (surface.shape.point_at(uv_m) - point).norm();
             if distance_m > TOLERANCE_M {
                 continue;
             }
-            let local_normal = local_from_world.transform_vector(&normal);
-            let cosine = surface.shape.tangents(uv_m).normal.dot(&local_normal);
+            let cosine = surface
+                .shape
+                .tangents(uv_m)
+                .normal
+                .dot(&(rotation * normal));
             if cosine < MIN_COSINE {
                 continue;
             }

@@ -1,32 +1,31 @@
-//! Posters, labels and pages: everything in the scenes that is drawn or printed.
+//! What hangs on walls and lies on floors: posters, paintings, window, door, rug, globe.
 
 use std::f64::consts::TAU;
 use std::sync::Arc;
 
-use crate::synth::hash::{Stream, lattice_noise};
+use crate::synth::hash::lattice_noise;
 use crate::synth::picture::{Canvas, Picture};
 use crate::synth::texture::{Linear, srgb};
 
-const INK: u32 = 0x1d_1d_22;
-const PAPER: u32 = 0xf4_f0_e6;
+const INK: u32 = 0x1d1d22;
 
 /// Geometric poster with a large title.
 pub(super) fn geometric_poster(size_m: [f64; 2], pixel_m: f64) -> Arc<Picture> {
     let [w, h] = size_m;
-    let mut canvas = Canvas::new(size_m, pixel_m, srgb(0xef_e3_c8));
-    canvas.disc([0.62 * w, 0.30 * h], 0.26 * w, srgb(0xc9_3a_2b));
-    canvas.rect([0.10 * w, 0.34 * h, 0.36 * w, 0.36 * w], srgb(0x24_4f_8f));
+    let mut canvas = Canvas::new(size_m, pixel_m, srgb(0xefe3c8));
+    canvas.disc([0.62 * w, 0.30 * h], 0.26 * w, srgb(0xc93a2b));
+    canvas.rect([0.10 * w, 0.34 * h, 0.36 * w, 0.36 * w], srgb(0x244f8f));
     canvas.ring(
         [0.28 * w, 0.34 * h + 0.18 * w],
         0.11 * w,
         0.03 * w,
-        srgb(0xef_e3_c8),
+        srgb(0xefe3c8),
     );
     for k in 0..7 {
         let y = (0.60 + 0.022 * f64::from(k)) * h;
         canvas.line([0.1 * w, y], [0.9 * w, y - 0.12 * h], 0.008 * w, srgb(INK));
     }
-    canvas.disc([0.80 * w, 0.58 * h], 0.10 * w, srgb(0xe8_b0_2a));
+    canvas.disc([0.80 * w, 0.58 * h], 0.10 * w, srgb(0xe8b02a));
     canvas.text_centred([0.5 * w, 0.75 * h], 0.075 * h, 1.6, srgb(INK), "FORM");
     canvas.text_centred(
         [0.5 * w, 0.87 * h],
@@ -39,10 +38,10 @@ pub(super) fn geometric_poster(size_m: [f64; 2], pixel_m: f64) -> Arc<Picture> {
         [0.5 * w, 0.92 * h],
         0.022 * h,
         1.0,
-        srgb(0x7a_30_24),
+        srgb(0x7a3024),
         "1 - 28 February",
     );
-    frame(&mut canvas, 0.02 * w, srgb(0x22_1c_18));
+    frame(&mut canvas, 0.02 * w, srgb(0x221c18));
     canvas.finish()
 }
 
@@ -50,13 +49,13 @@ pub(super) fn geometric_poster(size_m: [f64; 2], pixel_m: f64) -> Arc<Picture> {
 pub(super) fn landscape(size_m: [f64; 2], pixel_m: f64) -> Arc<Picture> {
     let [w, h] = size_m;
     let mut canvas = Canvas::new(size_m, pixel_m, [0.0; 3]);
-    canvas.gradient([0.0, 0.45 * h], srgb(0x2c_4a_7c), srgb(0xf0_9a_5a));
-    canvas.gradient([0.45 * h, h], srgb(0xf3_b4_70), srgb(0x4a_3a_5c));
-    canvas.disc([0.66 * w, 0.40 * h], 0.09 * w, srgb(0xff_ee_c4));
+    canvas.gradient([0.0, 0.45 * h], srgb(0x2c4a7c), srgb(0xf09a5a));
+    canvas.gradient([0.45 * h, h], srgb(0xf3b470), srgb(0x4a3a5c));
+    canvas.disc([0.66 * w, 0.40 * h], 0.09 * w, srgb(0xffeec4));
     let ridges = [
-        (0.50, 0.20, 0x8a_6a_8e),
-        (0.62, 0.16, 0x55_4a_78),
-        (0.76, 0.12, 0x2d_30_55),
+        (0.50, 0.20, 0x8a6a8e),
+        (0.62, 0.16, 0x554a78),
+        (0.76, 0.12, 0x2d3055),
     ];
     for (salt, (level, height, color)) in (11..).zip(ridges) {
         canvas.shape([0.0, 0.0, w, h], srgb(color), |x, y| {
@@ -72,17 +71,17 @@ pub(super) fn landscape(size_m: [f64; 2], pixel_m: f64) -> Arc<Picture> {
         for tier in 0..4 {
             let y = foot - (0.03 + 0.028 * f64::from(tier)) * h;
             let half = (0.035 - 0.007 * f64::from(tier)) * w;
-            canvas.line([x - half, y], [x + half, y], 0.02 * h, srgb(0x14_26_24));
+            canvas.line([x - half, y], [x + half, y], 0.02 * h, srgb(0x142624));
         }
     }
-    frame(&mut canvas, 0.03 * w, srgb(0x6e_4a_2a));
+    frame(&mut canvas, 0.03 * w, srgb(0x6e4a2a));
     canvas.finish()
 }
 
 /// Letters from large to small.
 pub(super) fn eye_chart(size_m: [f64; 2], pixel_m: f64) -> Arc<Picture> {
     let [w, h] = size_m;
-    let mut canvas = Canvas::new(size_m, pixel_m, srgb(0xf7_f6_f0));
+    let mut canvas = Canvas::new(size_m, pixel_m, srgb(0xf7f6f0));
     let rows = [
         "E",
         "F P",
@@ -101,28 +100,27 @@ pub(super) fn eye_chart(size_m: [f64; 2], pixel_m: f64) -> Arc<Picture> {
             [0.93 * w, y + 0.3 * height],
             0.018 * h,
             1.0,
-            srgb(0xb0_2a_2a),
+            srgb(0xb02a2a),
             &format!("{number}"),
         );
         y += height + 0.028 * h;
         height *= 0.76;
     }
-    canvas.rect([0.08 * w, 0.92 * h, 0.84 * w, 0.012 * h], srgb(0x2a_8a_3a));
-    canvas.rect([0.08 * w, 0.945 * h, 0.84 * w, 0.012 * h], srgb(0xc0_2a_2a));
-    frame(&mut canvas, 0.012 * w, srgb(0x9a_9a_9a));
+    canvas.rect([0.08 * w, 0.92 * h, 0.84 * w, 0.012 * h], srgb(0x2a8a3a));
+    canvas.rect([0.08 * w, 0.945 * h, 0.84 * w, 0.012 * h], srgb(0xc02a2a));
+    frame(&mut canvas, 0.012 * w, srgb(0x9a9a9a));
     canvas.finish()
 }
 
 /// Twenty-four colour patches over a grey ramp.
 pub(super) fn color_chart(size_m: [f64; 2], pixel_m: f64) -> Arc<Picture> {
     const PATCHES: [u32; 24] = [
-        0x73_52_44, 0xc2_96_82, 0x62_7a_9d, 0x57_6c_43, 0x85_80_b1, 0x67_bd_aa, 0xd6_7e_2c,
-        0x50_5b_a6, 0xc1_5a_63, 0x5e_3c_6c, 0x9d_bc_40, 0xe0_a3_2e, 0x38_3d_96, 0x46_94_49,
-        0xaf_36_3c, 0xe7_c7_1f, 0xbb_56_95, 0x08_85_a1, 0xf3_f3_f2, 0xc8_c8_c8, 0xa0_a0_a0,
-        0x7a_7a_79, 0x55_55_55, 0x34_34_34,
+        0x735244, 0xc29682, 0x627a9d, 0x576c43, 0x8580b1, 0x67bdaa, 0xd67e2c, 0x505ba6, 0xc15a63,
+        0x5e3c6c, 0x9dbc40, 0xe0a32e, 0x383d96, 0x469449, 0xaf363c, 0xe7c71f, 0xbb5695, 0x0885a1,
+        0xf3f3f2, 0xc8c8c8, 0xa0a0a0, 0x7a7a79, 0x555555, 0x343434,
     ];
     let [w, h] = size_m;
-    let mut canvas = Canvas::new(size_m, pixel_m, srgb(0x20_20_20));
+    let mut canvas = Canvas::new(size_m, pixel_m, srgb(0x202020));
     let pitch = (w / 6.3).min(h / 4.4);
     let [left, top] = [(w - 6.0 * pitch) / 2.0, (h - 4.0 * pitch) / 2.0];
     for (index, patch) in PATCHES.into_iter().enumerate() {
@@ -144,34 +142,34 @@ pub(super) fn color_chart(size_m: [f64; 2], pixel_m: f64) -> Arc<Picture> {
 /// A plan of transit lines with named stops.
 pub(super) fn transit_map(size_m: [f64; 2], pixel_m: f64) -> Arc<Picture> {
     let [w, h] = size_m;
-    let mut canvas = Canvas::new(size_m, pixel_m, srgb(0xf6_f8_f8));
+    let mut canvas = Canvas::new(size_m, pixel_m, srgb(0xf6f8f8));
     canvas.line(
         [0.0, 0.72 * h],
         [0.35 * w, 0.62 * h],
         0.09 * h,
-        srgb(0xbf_dd_ec),
+        srgb(0xbfddec),
     );
     canvas.line(
         [0.35 * w, 0.62 * h],
         [w, 0.80 * h],
         0.09 * h,
-        srgb(0xbf_dd_ec),
+        srgb(0xbfddec),
     );
     let lines: [(u32, &[[f64; 2]]); 4] = [
         (
-            0xd8_2a_2a,
+            0xd82a2a,
             &[[0.08, 0.30], [0.35, 0.30], [0.55, 0.50], [0.92, 0.50]],
         ),
         (
-            0x1f_6f_c0,
+            0x1f6fc0,
             &[[0.20, 0.90], [0.20, 0.60], [0.50, 0.30], [0.85, 0.30]],
         ),
         (
-            0x2f_9a_4a,
+            0x2f9a4a,
             &[[0.10, 0.50], [0.40, 0.50], [0.70, 0.80], [0.92, 0.80]],
         ),
         (
-            0xe8_a0_20,
+            0xe8a020,
             &[[0.70, 0.16], [0.70, 0.62], [0.50, 0.86], [0.36, 0.92]],
         ),
     ];
@@ -191,7 +189,7 @@ pub(super) fn transit_map(size_m: [f64; 2], pixel_m: f64) -> Arc<Picture> {
     {
         let [x, y] = at(*stop);
         canvas.disc([x, y], 0.018 * w, srgb(INK));
-        canvas.disc([x, y], 0.011 * w, srgb(0xff_ff_ff));
+        canvas.disc([x, y], 0.011 * w, srgb(0xffffff));
         canvas.text(
             [x + 0.02 * w, y - 0.04 * h],
             0.024 * h,
@@ -200,28 +198,28 @@ pub(super) fn transit_map(size_m: [f64; 2], pixel_m: f64) -> Arc<Picture> {
             name,
         );
     }
-    canvas.rect([0.0, 0.0, w, 0.09 * h], srgb(0x1d_3a_6a));
+    canvas.rect([0.0, 0.0, w, 0.09 * h], srgb(0x1d3a6a));
     canvas.text(
         [0.05 * w, 0.022 * h],
         0.045 * h,
         1.4,
-        srgb(0xff_ff_ff),
+        srgb(0xffffff),
         "CITY LINES",
     );
-    frame(&mut canvas, 0.012 * w, srgb(0x1d_3a_6a));
+    frame(&mut canvas, 0.012 * w, srgb(0x1d3a6a));
     canvas.finish()
 }
 
 /// Coloured rectangles between black bars.
 pub(super) fn grid_painting(size_m: [f64; 2], pixel_m: f64) -> Arc<Picture> {
     let [w, h] = size_m;
-    let mut canvas = Canvas::new(size_m, pixel_m, srgb(0xf2_ef_e4));
+    let mut canvas = Canvas::new(size_m, pixel_m, srgb(0xf2efe4));
     let fields = [
-        ([0.0, 0.0, 0.30, 0.42], 0xd0_22_22),
-        ([0.70, 0.60, 0.30, 0.40], 0x1c_3f_94),
-        ([0.30, 0.82, 0.40, 0.18], 0xf2_c8_20),
-        ([0.86, 0.0, 0.14, 0.24], 0xf2_c8_20),
-        ([0.0, 0.74, 0.14, 0.26], 0x1a_1a_1a),
+        ([0.0, 0.0, 0.30, 0.42], 0xd02222),
+        ([0.70, 0.60, 0.30, 0.40], 0x1c3f94),
+        ([0.30, 0.82, 0.40, 0.18], 0xf2c820),
+        ([0.86, 0.0, 0.14, 0.24], 0xf2c820),
+        ([0.0, 0.74, 0.14, 0.26], 0x1a1a1a),
     ];
     for ([x, y, fw, fh], color) in fields {
         canvas.rect([x * w, y * h, fw * w, fh * h], srgb(color));
@@ -253,20 +251,20 @@ pub(super) fn grid_painting(size_m: [f64; 2], pixel_m: f64) -> Arc<Picture> {
             srgb(INK),
         );
     }
-    frame(&mut canvas, 0.02 * w, srgb(0xd8_d2_c4));
+    frame(&mut canvas, 0.02 * w, srgb(0xd8d2c4));
     canvas.finish()
 }
 
 /// A month of numbered days.
 pub(super) fn calendar(size_m: [f64; 2], pixel_m: f64) -> Arc<Picture> {
     let [w, h] = size_m;
-    let mut canvas = Canvas::new(size_m, pixel_m, srgb(0xfb_fa_f6));
-    canvas.rect([0.0, 0.0, w, 0.16 * h], srgb(0xa8_32_32));
+    let mut canvas = Canvas::new(size_m, pixel_m, srgb(0xfbfaf6));
+    canvas.rect([0.0, 0.0, w, 0.16 * h], srgb(0xa83232));
     canvas.text_centred(
         [0.5 * w, 0.045 * h],
         0.07 * h,
         1.4,
-        srgb(0xff_ff_ff),
+        srgb(0xffffff),
         "OCTOBER",
     );
     for column in 0..7usize {
@@ -275,7 +273,7 @@ pub(super) fn calendar(size_m: [f64; 2], pixel_m: f64) -> Arc<Picture> {
             [x, 0.19 * h],
             0.032 * h,
             1.3,
-            srgb(0x60_60_68),
+            srgb(0x606068),
             &"MTWTFSS"[column..=column],
         );
     }
@@ -284,7 +282,7 @@ pub(super) fn calendar(size_m: [f64; 2], pixel_m: f64) -> Arc<Picture> {
         let x = (f64::from(cell % 7) + 0.5) * w / 7.0;
         let y = 0.26 * h + f64::from(cell / 7) * 0.145 * h;
         let ink = if cell % 7 >= 5 {
-            srgb(0xc0_30_30)
+            srgb(0xc03030)
         } else {
             srgb(INK)
         };
@@ -296,7 +294,7 @@ pub(super) fn calendar(size_m: [f64; 2], pixel_m: f64) -> Arc<Picture> {
                 w / 7.0 - 0.008 * w,
                 0.005 * h,
             ],
-            srgb(0xc8_c8_cc),
+            srgb(0xc8c8cc),
         );
     }
     canvas.ring(
@@ -306,7 +304,7 @@ pub(super) fn calendar(size_m: [f64; 2], pixel_m: f64) -> Arc<Picture> {
         ],
         0.055 * w,
         0.008 * w,
-        srgb(0x2a_60_c0),
+        srgb(0x2a60c0),
     );
     canvas.finish()
 }
@@ -314,8 +312,8 @@ pub(super) fn calendar(size_m: [f64; 2], pixel_m: f64) -> Arc<Picture> {
 /// A round dial at ten past ten.
 pub(super) fn clock_face(diameter_m: f64, pixel_m: f64) -> Arc<Picture> {
     let r = diameter_m / 2.0;
-    let mut canvas = Canvas::new([diameter_m; 2], pixel_m, srgb(0x2a_2a_2e));
-    canvas.disc([r, r], 0.90 * r, srgb(0xf8_f6_ee));
+    let mut canvas = Canvas::new([diameter_m; 2], pixel_m, srgb(0x2a2a2e));
+    canvas.disc([r, r], 0.90 * r, srgb(0xf8f6ee));
     for minute in 0..60 {
         let (sin, cos) = (TAU * f64::from(minute) / 60.0).sin_cos();
         let (from, pen) = if minute % 5 == 0 {
@@ -335,137 +333,16 @@ pub(super) fn clock_face(diameter_m: f64, pixel_m: f64) -> Arc<Picture> {
             srgb(INK),
         );
     }
-    canvas.disc([r, r], 0.05 * r, srgb(0xc0_30_30));
+    canvas.disc([r, r], 0.05 * r, srgb(0xc03030));
     canvas.finish()
-}
-
-const SENTENCES: [&str; 12] = [
-    "A texture is a promise that the",
-    "surface keeps. Each texel asks one",
-    "question: which of the many frames",
-    "that saw me saw me best? Near ones",
-    "are sharp, far ones are calm, and",
-    "those at a slant tell half of it.",
-    "The scanner walks, the mesh grows,",
-    "and the answer changes. What was",
-    "painted well is left alone; what",
-    "was guessed is painted again. In",
-    "the end every wall has its grain,",
-    "and every page can be read. 0123456789",
-];
-
-/// A printed page: a headline, two columns' worth of text, a figure.
-pub(super) fn printed_page(size_m: [f64; 2], pixel_m: f64, title: &str) -> Arc<Picture> {
-    let [w, h] = size_m;
-    let mut canvas = Canvas::new(size_m, pixel_m, srgb(PAPER));
-    canvas.text([0.08 * w, 0.05 * h], 0.04 * h, 1.5, srgb(INK), title);
-    canvas.rect([0.08 * w, 0.115 * h, 0.84 * w, 0.006 * h], srgb(0xa0_30_28));
-    let cap = 0.0175 * h;
-    for (line, sentence) in SENTENCES.iter().enumerate() {
-        let y = (0.145 + 0.034 * line as f64) * h;
-        canvas.text([0.08 * w, y], cap, 1.15, srgb(INK), sentence);
-    }
-    let y0 = 0.58 * h;
-    canvas.rect([0.08 * w, y0, 0.40 * w, 0.24 * h], srgb(0xdf_e7_ec));
-    for k in 0..8 {
-        let height =
-            (0.05 + 0.15 * (0.5 + 0.5 * f64::from(lattice_noise([f64::from(k), 0.0], 5)))) * h;
-        let x = (0.10 + 0.046 * f64::from(k)) * w;
-        let color = if k % 2 == 0 { 0x2a_6a_9a } else { 0xd0_7a_2a };
-        canvas.rect([x, y0 + 0.23 * h - height, 0.034 * w, height], srgb(color));
-    }
-    for (line, sentence) in SENTENCES.iter().take(7).enumerate() {
-        let y = y0 + 0.034 * line as f64 * h;
-        let words = sentence.get(..18).unwrap_or(sentence);
-        canvas.text([0.52 * w, y], cap, 1.15, srgb(INK), words);
-    }
-    for line in 0..3 {
-        let sentence = SENTENCES[line + 4];
-        canvas.text(
-            [0.08 * w, (0.855 + 0.034 * line as f64) * h],
-            cap,
-            1.15,
-            srgb(INK),
-            sentence,
-        );
-    }
-    canvas.finish()
-}
-
-/// A band of paper with a title, for boxes and cans.
-pub(super) fn label(
-    size_m: [f64; 2],
-    pixel_m: f64,
-    [ground, accent, ink]: [u32; 3],
-    [title, line]: [&str; 2],
-) -> Canvas {
-    let [w, h] = size_m;
-    let mut canvas = Canvas::new(size_m, pixel_m, srgb(ground));
-    canvas.rect([0.0, 0.10 * h, w, 0.03 * h], srgb(accent));
-    canvas.rect([0.0, 0.87 * h, w, 0.03 * h], srgb(accent));
-    let cap = (0.16 * h).min(0.8 * w / (title.len().max(1) as f64 * 6.0) * 7.0);
-    canvas.disc([0.5 * w, 0.60 * h], 0.17 * h.min(w), srgb(accent));
-    canvas.disc(
-        [0.5 * w + 0.05 * w, 0.60 * h - 0.03 * h],
-        0.08 * h.min(w),
-        srgb(ground),
-    );
-    canvas.text_centred([0.5 * w, 0.20 * h], cap, 1.5, srgb(ink), title);
-    let small = (0.055 * h).min(0.84 * w / (line.len().max(1) as f64 * 6.0) * 7.0);
-    canvas.text_centred([0.5 * w, 0.79 * h], small, 1.2, srgb(ink), line);
-    canvas
-}
-
-/// A label that goes round: the front one, a table of contents and a bar code beside it.
-pub(super) fn wrapped_label(
-    size_m: [f64; 2],
-    pixel_m: f64,
-    colors: [u32; 3],
-    words: [&str; 2],
-) -> Arc<Picture> {
-    let [w, h] = size_m;
-    let [ground, accent, ink] = colors.map(srgb);
-    let mut canvas = Canvas::new(size_m, pixel_m, ground);
-    canvas.rect([0.0, 0.05 * h, w, 0.05 * h], accent);
-    canvas.rect([0.0, 0.90 * h, w, 0.05 * h], accent);
-    for quarter in 0..2 {
-        // u starts at the front, so that a title there would be cut by the seam.
-        let x = (0.25 + 0.5 * f64::from(quarter)) * w;
-        let cap = (0.26 * h).min(0.40 * w / (words[0].len().max(1) as f64 * 6.0) * 7.0);
-        canvas.text_centred([x, 0.26 * h], cap, 1.5, ink, words[0]);
-        canvas.text_centred([x, 0.66 * h], 0.09 * h, 1.2, ink, words[1]);
-    }
-    for seam in [0.0, 0.5, 1.0] {
-        canvas.disc([seam * w, 0.5 * h], 0.24 * h, accent);
-        canvas.disc([seam * w, 0.5 * h], 0.15 * h, ground);
-    }
-    canvas.finish()
-}
-
-/// The back of a book, read with the head tilted: title along the height.
-pub(super) fn spine(
-    [w, h]: [f64; 2],
-    pixel_m: f64,
-    ground: Linear,
-    ink: Linear,
-    title: &str,
-) -> Arc<Picture> {
-    // Painted lying, then turned: text runs downwards on the standing book.
-    let mut canvas = Canvas::new([h, w], pixel_m, ground);
-    for x in [0.05, 0.09, 0.91] {
-        canvas.rect([x * h, 0.0, 0.012 * h, w], ink);
-    }
-    let cap = (0.52 * w).min(0.74 * h / (title.len().max(1) as f64 * 6.0) * 7.0);
-    canvas.text([0.14 * h, 0.5 * (w - cap)], cap, 1.4, ink, title);
-    canvas.turned().finish()
 }
 
 /// Meadows behind a window with a cross.
 pub(super) fn window_view(size_m: [f64; 2], pixel_m: f64) -> Arc<Picture> {
     let [w, h] = size_m;
     let mut canvas = Canvas::new(size_m, pixel_m, [0.0; 3]);
-    canvas.gradient([0.0, 0.62 * h], srgb(0x7a_b0_e4), srgb(0xdf_ec_f2));
-    canvas.gradient([0.62 * h, h], srgb(0x9a_bb_62), srgb(0x56_88_38));
+    canvas.gradient([0.0, 0.62 * h], srgb(0x7ab0e4), srgb(0xdfecf2));
+    canvas.gradient([0.62 * h, h], srgb(0x9abb62), srgb(0x568838));
     for (salt, [x, y, size]) in (0u32..).zip([
         [0.2, 0.2, 0.1],
         [0.32, 0.17, 0.08],
@@ -478,11 +355,11 @@ pub(super) fn window_view(size_m: [f64; 2], pixel_m: f64) -> Arc<Picture> {
             canvas.disc(
                 centre,
                 size * w * (0.55 + 0.3 * shift.abs()),
-                srgb(0xf6_f8_fa),
+                srgb(0xf6f8fa),
             );
         }
     }
-    canvas.shape([0.0, 0.5 * h, w, h], srgb(0x6f_98_58), |x, y| {
+    canvas.shape([0.0, 0.5 * h, w, h], srgb(0x6f9858), |x, y| {
         0.66 * h - 0.05 * h * f64::from(lattice_noise([3.0 * x / w, 0.5], 3)) - y
     });
     for [x, y, size] in [[0.16, 0.70, 0.09], [0.60, 0.66, 0.06], [0.84, 0.76, 0.12]] {
@@ -490,17 +367,17 @@ pub(super) fn window_view(size_m: [f64; 2], pixel_m: f64) -> Arc<Picture> {
             [x * w, y * h],
             [x * w, (y + size) * h],
             0.018 * w,
-            srgb(0x5a_42_2c),
+            srgb(0x5a422c),
         );
-        canvas.disc([x * w, y * h], size * 0.75 * w, srgb(0x3a_6c_30));
+        canvas.disc([x * w, y * h], size * 0.75 * w, srgb(0x3a6c30));
         canvas.disc(
             [(x - 0.02) * w, (y - 0.02) * h],
             size * 0.45 * w,
-            srgb(0x55_8a_42),
+            srgb(0x558a42),
         );
     }
     let bar = 0.05 * w;
-    let white = srgb(0xf2_f0_ea);
+    let white = srgb(0xf2f0ea);
     frame(&mut canvas, bar, white);
     canvas.rect([0.5 * w - bar / 2.0, 0.0, bar, h], white);
     canvas.rect([0.0, 0.40 * h - bar / 2.0, w, bar], white);
@@ -508,18 +385,18 @@ pub(super) fn window_view(size_m: [f64; 2], pixel_m: f64) -> Arc<Picture> {
         [0.53 * w, 0.52 * h],
         [0.53 * w, 0.58 * h],
         0.012 * w,
-        srgb(0x8a_8a_8a),
+        srgb(0x8a8a8a),
     );
     canvas.finish()
 }
 
 /// A panelled door.
 pub(super) fn door([w, h]: [f64; 2], pixel_m: f64) -> Arc<Picture> {
-    let mut canvas = Canvas::new([w, h], pixel_m, srgb(0xe4_de_d0));
+    let mut canvas = Canvas::new([w, h], pixel_m, srgb(0xe4ded0));
     for (y, height) in [(0.07, 0.36), (0.50, 0.42)] {
         for x in [0.12, 0.55] {
             let panel = [x * w, y * h, 0.33 * w, height * h];
-            canvas.rect(panel, srgb(0xbd_b5_a4));
+            canvas.rect(panel, srgb(0xbdb5a4));
             let inset = 0.02 * w;
             canvas.rect(
                 [
@@ -528,29 +405,29 @@ pub(super) fn door([w, h]: [f64; 2], pixel_m: f64) -> Arc<Picture> {
                     panel[2] - 2.0 * inset,
                     panel[3] - 2.0 * inset,
                 ],
-                srgb(0xda_d3_c4),
+                srgb(0xdad3c4),
             );
         }
     }
-    canvas.disc([0.90 * w, 0.48 * h], 0.035 * w, srgb(0x8a_78_40));
+    canvas.disc([0.90 * w, 0.48 * h], 0.035 * w, srgb(0x8a7840));
     canvas.line(
         [0.90 * w, 0.48 * h],
         [0.79 * w, 0.48 * h],
         0.025 * w,
-        srgb(0xa8_92_50),
+        srgb(0xa89250),
     );
-    frame(&mut canvas, 0.03 * w, srgb(0xa8_a0_90));
+    frame(&mut canvas, 0.03 * w, srgb(0xa8a090));
     canvas.finish()
 }
 
 /// A woven rug with a border, lozenges and a field.
 pub(super) fn rug([w, h]: [f64; 2], pixel_m: f64) -> Arc<Picture> {
-    let mut canvas = Canvas::new([w, h], pixel_m, srgb(0x7c_20_26));
+    let mut canvas = Canvas::new([w, h], pixel_m, srgb(0x7c2026));
     let bands = [
-        (0.02, 0xe6_d4_ae),
-        (0.05, 0x1e_2e_52),
-        (0.17, 0xe6_d4_ae),
-        (0.19, 0x8e_2a_2c),
+        (0.02, 0xe6d4ae),
+        (0.05, 0x1e2e52),
+        (0.17, 0xe6d4ae),
+        (0.19, 0x8e2a2c),
     ];
     for (inset, color) in bands {
         canvas.rect(
@@ -564,15 +441,11 @@ pub(super) fn rug([w, h]: [f64; 2], pixel_m: f64) -> Arc<Picture> {
         let mut along = 0.11 + pitch / 2.0;
         let mut odd = false;
         while along < length - 0.11 {
-            let color = if odd {
-                srgb(0xd8_9a_3a)
-            } else {
-                srgb(0xc8_4a_3a)
-            };
+            let color = if odd { srgb(0xd89a3a) } else { srgb(0xc84a3a) };
             for side in [0.11, if is_top { h - 0.11 } else { w - 0.11 }] {
                 let centre = if is_top { [along, side] } else { [side, along] };
                 lozenge(&mut canvas, centre, [0.04, 0.04], color);
-                lozenge(&mut canvas, centre, [0.018, 0.018], srgb(0xe6_d4_ae));
+                lozenge(&mut canvas, centre, [0.018, 0.018], srgb(0xe6d4ae));
             }
             along += pitch;
             odd = !odd;
@@ -580,11 +453,11 @@ pub(super) fn rug([w, h]: [f64; 2], pixel_m: f64) -> Arc<Picture> {
     }
     let centre = [w / 2.0, h / 2.0];
     let medallion = [
-        (0.34, 0x1e_2e_52),
-        (0.29, 0xe6_d4_ae),
-        (0.26, 0xb8_40_34),
-        (0.16, 0x2e_5a_60),
-        (0.08, 0xe8_c0_60),
+        (0.34, 0x1e2e52),
+        (0.29, 0xe6d4ae),
+        (0.26, 0xb84034),
+        (0.16, 0x2e5a60),
+        (0.08, 0xe8c060),
     ];
     for (scale, color) in medallion {
         lozenge(
@@ -597,8 +470,8 @@ pub(super) fn rug([w, h]: [f64; 2], pixel_m: f64) -> Arc<Picture> {
     for k in 0..4 {
         let x = if k % 2 == 0 { 0.36 } else { w - 0.36 };
         let y = if k < 2 { 0.33 } else { h - 0.33 };
-        lozenge(&mut canvas, [x, y], [0.10, 0.08], srgb(0x1e_2e_52));
-        lozenge(&mut canvas, [x, y], [0.06, 0.05], srgb(0xd8_9a_3a));
+        lozenge(&mut canvas, [x, y], [0.10, 0.08], srgb(0x1e2e52));
+        lozenge(&mut canvas, [x, y], [0.06, 0.05], srgb(0xd89a3a));
     }
     canvas.finish()
 }
@@ -606,7 +479,7 @@ pub(super) fn rug([w, h]: [f64; 2], pixel_m: f64) -> Arc<Picture> {
 /// A map of the world for a globe: oceans, invented continents, ice and a graticule.
 pub(super) fn globe_map(radius_m: f64, pixel_m: f64) -> Arc<Picture> {
     let [w, h] = [TAU * radius_m, TAU / 2.0 * radius_m];
-    let mut canvas = Canvas::new([w, h], pixel_m, srgb(0x2a_62_9c));
+    let mut canvas = Canvas::new([w, h], pixel_m, srgb(0x2a629c));
     let land = |x: f64, y: f64| {
         // Read on a cylinder in noise space, so that the seam closes.
         let (sin, cos) = (x / radius_m).sin_cos();
@@ -618,91 +491,26 @@ pub(super) fn globe_map(radius_m: f64, pixel_m: f64) -> Arc<Picture> {
         at(1.6, 2) + 0.5 * at(3.7, 4) - 0.25
     };
     let slope_m = 0.35 * radius_m;
-    canvas.shape([0.0, 0.0, w, h], srgb(0x6a_9a_4a), |x, y| {
+    canvas.shape([0.0, 0.0, w, h], srgb(0x6a9a4a), |x, y| {
         -land(x, y) * slope_m
     });
-    canvas.shape([0.0, 0.0, w, h], srgb(0xc8_a8_62), |x, y| {
+    canvas.shape([0.0, 0.0, w, h], srgb(0xc8a862), |x, y| {
         (0.45 - land(x, y)) * slope_m
     });
-    canvas.shape([0.0, 0.0, w, h], srgb(0xf2_f4_f6), |_, y| {
+    canvas.shape([0.0, 0.0, w, h], srgb(0xf2f4f6), |_, y| {
         y.min(h - y) - 0.09 * h
     });
     for k in 0..12 {
         canvas.rect(
             [f64::from(k) * w / 12.0 - 0.0006, 0.0, 0.0012, h],
-            srgb(0x1a_3a_5a),
+            srgb(0x1a3a5a),
         );
     }
     for k in 1..6 {
         canvas.rect(
             [0.0, f64::from(k) * h / 6.0 - 0.0006, w, 0.0012],
-            srgb(0x1a_3a_5a),
+            srgb(0x1a3a5a),
         );
-    }
-    canvas.finish()
-}
-
-/// Keys in rows.
-pub(super) fn keyboard([w, h]: [f64; 2], pixel_m: f64) -> Arc<Picture> {
-    let mut canvas = Canvas::new([w, h], pixel_m, srgb(0xb9_bc_c2));
-    let rows = [
-        "1234567890-=",
-        "QWERTYUIOP[]",
-        "ASDFGHJKL;'#",
-        "ZXCVBNM,./@!",
-    ];
-    let key = 0.94 * w / 12.0;
-    for (j, row) in rows.iter().enumerate() {
-        for (i, letter) in row.char_indices() {
-            let x = 0.03 * w + i as f64 * key;
-            let y = 0.06 * h + j as f64 * key;
-            canvas.rect(
-                [x + 0.06 * key, y + 0.06 * key, 0.88 * key, 0.88 * key],
-                srgb(0x2c_2e_34),
-            );
-            canvas.text(
-                [x + 0.32 * key, y + 0.26 * key],
-                0.45 * key,
-                1.2,
-                srgb(0xf0_f0_f0),
-                &letter.to_string(),
-            );
-        }
-    }
-    canvas.rect([0.32 * w, 0.62 * h, 0.36 * w, 0.30 * h], srgb(0x9a_9d_a4));
-    canvas.finish()
-}
-
-/// A screen with lines of a program.
-pub(super) fn screen([w, h]: [f64; 2], pixel_m: f64, random: Stream) -> Arc<Picture> {
-    let mut canvas = Canvas::new([w, h], pixel_m, srgb(0x14_16_1a));
-    canvas.rect([0.03 * w, 0.04 * h, 0.94 * w, 0.92 * h], srgb(0x1c_26_38));
-    canvas.rect([0.03 * w, 0.04 * h, 0.94 * w, 0.08 * h], srgb(0x3a_4a_6a));
-    canvas.text(
-        [0.06 * w, 0.06 * h],
-        0.04 * h,
-        1.2,
-        srgb(0xe8_ee_f8),
-        "atlas.rs",
-    );
-    let words = [
-        "fn", "let", "mesh", "texel", "= 0;", "for", "chart", "+=", "uv", "{ }", "pub", "pose",
-    ];
-    let inks = [0xe0_70_70, 0x80_c0_f0, 0xe8_d8_80, 0x90_d0_90, 0xd0_a0_e0];
-    for line in 0..10u64 {
-        let mut x = (0.06 + 0.04 * (line % 3) as f64) * w;
-        for word in 0..4u64 {
-            let pick = random.bits(line * 16 + word);
-            let text = words[(pick % 12) as usize];
-            canvas.text(
-                [x, (0.17 + 0.077 * line as f64) * h],
-                0.036 * h,
-                1.2,
-                srgb(inks[(pick / 12 % 5) as usize]),
-                text,
-            );
-            x += (text.len() as f64 + 1.0) * 6.0 / 7.0 * 0.036 * h;
-        }
     }
     canvas.finish()
 }

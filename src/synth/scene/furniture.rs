@@ -76,7 +76,7 @@ pub(super) fn chair(
     salt: u32,
     seat: u32,
 ) {
-    let tone = [0xb8_86_50, 0x7a_52_2c];
+    let tone = [0xb88650, 0x7a522c];
     let at = |x: f64, y: f64, z: f64| *world_from_chair * standing([x, y, z], 0.0);
     let (w, d, h) = (0.42, 0.42, 0.45);
     let cloth = Texture::from(Pattern::Checks {
@@ -84,7 +84,7 @@ pub(super) fn chair(
         size_m: 0.03,
     })
     .mottled(0.1, 0.012);
-    let frame = plain(0x9a_6e_40);
+    let frame = plain(0x9a6e40);
     scene.cuboid(
         "chair seat",
         &at(0.0, 0.0, h - 0.05),
@@ -142,7 +142,7 @@ pub(super) fn bookshelf(
     num_boards: u32,
     random: Stream,
 ) {
-    let tone = [0xd8_b4_80, 0xa8_80_4c];
+    let tone = [0xd8b480, 0xa8804c];
     let at = |x: f64, y: f64, z: f64| *world_from_shelf * standing([x, y, z], 0.0);
     let side = 0.03;
     for (salt, x) in (60..).zip([-(w - side) / 2.0, (w - side) / 2.0]) {
@@ -219,7 +219,7 @@ fn row_of_books(
 pub(super) fn sofa(scene: &mut SceneBuilder, world_from_sofa: &RigidTransform, w: f64) {
     let at = |x: f64, y: f64, z: f64| *world_from_sofa * standing([x, y, z], 0.0);
     let cloth = Texture::from(Pattern::Checks {
-        colors: [srgb(0x46_68_72), srgb(0x58_7c_84)],
+        colors: [srgb(0x466872), srgb(0x587c84)],
         size_m: 0.012,
     })
     .mottled(0.10, 0.035);
@@ -259,23 +259,23 @@ pub(super) fn sofa(scene: &mut SceneBuilder, world_from_sofa: &RigidTransform, w
     let cushions = [
         Texture::from(Pattern::Stripes {
             palette: vec![
-                srgb(0xe8_d8_b0),
-                srgb(0xb8_4a_30),
-                srgb(0xe8_d8_b0),
-                srgb(0x2a_4a_6a),
+                srgb(0xe8d8b0),
+                srgb(0xb84a30),
+                srgb(0xe8d8b0),
+                srgb(0x2a4a6a),
             ],
             width_m: 0.03,
             across_v: false,
         }),
         Pattern::Dots {
-            ground: srgb(0xe0_a8_30),
-            dot: srgb(0xfa_f0_d8),
+            ground: srgb(0xe0a830),
+            dot: srgb(0xfaf0d8),
             pitch_m: 0.06,
             radius_m: 0.018,
         }
         .into(),
         Pattern::Checks {
-            colors: [srgb(0x7a_2a_40), srgb(0xe8_c8_c0)],
+            colors: [srgb(0x7a2a40), srgb(0xe8c8c0)],
             size_m: 0.045,
         }
         .into(),
@@ -299,7 +299,7 @@ pub(super) fn sofa(scene: &mut SceneBuilder, world_from_sofa: &RigidTransform, w
 
 /// A floor lamp: foot, pole, shade that glows.
 pub(super) fn floor_lamp(scene: &mut SceneBuilder, world_from_lamp: &RigidTransform) {
-    let metal = Texture::from(Pattern::Plain(srgb(0x4a_44_3c))).mottled(0.1, 0.02);
+    let metal = Texture::from(Pattern::Plain(srgb(0x4a443c))).mottled(0.1, 0.02);
     let foot = [metal.clone(), metal.clone(), metal.clone()];
     scene.cylinder(
         "lamp foot",
@@ -311,14 +311,14 @@ pub(super) fn floor_lamp(scene: &mut SceneBuilder, world_from_lamp: &RigidTransf
     let pole = *world_from_lamp * standing([0.0, 0.0, 0.03], 0.0);
     scene.cylinder("lamp pole", &pole, [0.015, 0.015], 1.42, foot);
     let shade = Texture::from(Pattern::Stripes {
-        palette: vec![srgb(0xf6_e4_b8), srgb(0xee_d4_9c)],
+        palette: vec![srgb(0xf6e4b8), srgb(0xeed49c)],
         width_m: 0.04,
         across_v: false,
     })
     .mottled(0.03, 0.02)
     .luminous();
     let place = *world_from_lamp * standing([0.0, 0.0, 1.42], 0.0);
-    let glow = plain(0xff_f4_d8).luminous();
+    let glow = plain(0xfff4d8).luminous();
     scene.cylinder(
         "lamp shade",
         &place,
@@ -331,23 +331,23 @@ pub(super) fn floor_lamp(scene: &mut SceneBuilder, world_from_lamp: &RigidTransf
 /// A plant: pot, stem and three leafy balls.
 pub(super) fn plant(scene: &mut SceneBuilder, world_from_plant: &RigidTransform, size: f64) {
     let pot = Texture::from(Pattern::Stripes {
-        palette: vec![srgb(0xb8_5c_38), srgb(0xb8_5c_38), srgb(0xe0_b8_90)],
+        palette: vec![srgb(0xb85c38), srgb(0xb85c38), srgb(0xe0b890)],
         width_m: 0.05 * size,
         across_v: true,
     })
     .mottled(0.1, 0.02);
-    let soil = Texture::from(Pattern::Plain(srgb(0x3a_2a_1c))).mottled(0.4, 0.02);
+    let soil = Texture::from(Pattern::Plain(srgb(0x3a2a1c))).mottled(0.4, 0.02);
     let pot_m = 0.30 * size;
     scene.cylinder(
         "pot",
         world_from_plant,
         [0.11 * size, 0.15 * size],
         pot_m,
-        [pot, soil, plain(0x80_40_28)],
+        [pot, soil, plain(0x804028)],
     );
     let at =
         |x: f64, y: f64, z: f64| *world_from_plant * standing([x * size, y * size, z * size], 0.4);
-    let bark = wood([0x7a_5a_38, 0x4a_32_1c], 0.02, true);
+    let bark = wood([0x7a5a38, 0x4a321c], 0.02, true);
     let stem = at(0.0, 0.0, 0.30);
     scene.cylinder(
         "stem",
@@ -363,8 +363,8 @@ pub(super) fn plant(scene: &mut SceneBuilder, world_from_plant: &RigidTransform,
     ];
     for (salt, ([x, y, z], radius)) in (0..).zip(balls) {
         let leaves = Texture::from(Pattern::Flecks {
-            ground: srgb(0x2a_58_2a),
-            fleck: srgb(0x8a_b8_4a),
+            ground: srgb(0x2a582a),
+            fleck: srgb(0x8ab84a),
             cell_m: 0.03,
         })
         .mottled(0.2, 0.012)

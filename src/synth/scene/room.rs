@@ -11,7 +11,7 @@ use crate::synth::texture::{Pattern, Texture, srgb};
 
 use super::furniture::{bookshelf, chair, floor_lamp, plant, sofa, table, wooden};
 use super::still_life::{carton, lying_book, mug, plain, tin};
-use super::{Scene, SceneBuilder, all_faces, art, standing, tilted};
+use super::{Scene, SceneBuilder, all_faces, art, print, standing, tilted};
 
 const SIZE_M: [f64; 3] = [5.0, 4.0, 2.5];
 const PIXEL_M: f64 = 0.0015;
@@ -27,7 +27,7 @@ pub(in crate::synth) fn build(seed: u64) -> Scene {
     let globe = standing([0.18, 1.75, 1.95], 0.4);
     let map = art::globe_map(0.14, PIXEL_M);
     scene.ball("globe", &globe, 0.14, Pattern::Picture(map).into());
-    sofa(&mut scene, &standing([3.35, 3.52, 0.0], 0.0), 2.0);
+    sofa(&mut scene, &standing([3.35, 3.555, 0.0], 0.0), 2.0);
     floor_lamp(&mut scene, &standing([4.68, 3.65, 0.0], 0.0));
     plant(&mut scene, &standing([0.45, 3.55, 0.0], 0.3), 1.0);
     coffee_table(&mut scene);
@@ -39,6 +39,7 @@ fn lighting() -> Lighting {
     Lighting {
         ambient: [0.62, 0.64, 0.68],
         ambient_reach_m: 0.9,
+        bounce: [0.26, 0.24, 0.20],
         lamp: [0.62, 0.58, 0.52],
         lamp_center_m: Point3::new(2.7, 1.9, 2.38),
         lamp_axes_m: [Vector3::x() * 1.1, Vector3::y() * 0.9],
@@ -81,8 +82,8 @@ fn shell(scene: &mut SceneBuilder) {
     let world = RigidTransform::identity();
     scene.begin_body();
     let floor = Texture::from(Pattern::Wood {
-        light: srgb(0xd2_a8_70),
-        dark: srgb(0x98_6a_3a),
+        light: srgb(0xd2a870),
+        dark: srgb(0x986a3a),
         ring_m: 0.045,
         along_v: false,
         plank_m: Some([1.15, 0.14]),
@@ -99,7 +100,7 @@ fn shell(scene: &mut SceneBuilder) {
         [w, d],
         floor,
     );
-    let ceiling = Texture::from(Pattern::Plain(srgb(0xf2_f0_ea)))
+    let ceiling = Texture::from(Pattern::Plain(srgb(0xf2f0ea)))
         .mottled(0.025, 0.03)
         .with_decal([1.6, 1.0, 2.2, 1.8], ceiling_light());
     scene.rect(
@@ -142,8 +143,8 @@ fn shell(scene: &mut SceneBuilder) {
 
 fn ceiling_light() -> Texture {
     Texture::from(Pattern::Tiles {
-        palette: vec![srgb(0xfd_fb_f4)],
-        grout: srgb(0xc8_c8_c4),
+        palette: vec![srgb(0xfdfbf4)],
+        grout: srgb(0xc8c8c4),
         size_m: [0.55, 0.45],
         grout_m: 0.02,
         stagger: 0.0,
@@ -154,8 +155,8 @@ fn ceiling_light() -> Texture {
 
 fn skirting(wall: Texture, width_m: f64, height_m: f64) -> Texture {
     let board = Texture::from(Pattern::Gradient {
-        from: srgb(0xf2_ee_e6),
-        to: srgb(0xc8_c2_b6),
+        from: srgb(0xf2eee6),
+        to: srgb(0xc8c2b6),
         height_m: 0.09,
     });
     wall.with_decal([0.0, height_m - 0.09, width_m, 0.09], board)
@@ -167,13 +168,13 @@ fn hung(
     picture: std::sync::Arc<super::super::picture::Picture>,
 ) -> Texture {
     // A soft shadow below and beside, then the picture.
-    wall.with_decal([x + 0.01, y + 0.015, w, h], plain(0x9a_94_88))
+    wall.with_decal([x + 0.01, y + 0.015, w, h], plain(0x9a9488))
         .with_decal([x, y, w, h], Pattern::Picture(picture))
 }
 
 fn north_wall(w: f64, h: f64) -> Texture {
     let wall = skirting(
-        Texture::from(Pattern::Plain(srgb(0xd6_cf_bd))).mottled(0.03, 0.025),
+        Texture::from(Pattern::Plain(srgb(0xd6cfbd))).mottled(0.03, 0.025),
         w,
         h,
     );
@@ -201,7 +202,7 @@ fn north_wall(w: f64, h: f64) -> Texture {
 
 fn south_wall(w: f64, h: f64) -> Texture {
     let paper = Texture::from(Pattern::Stripes {
-        palette: vec![srgb(0x9c_b4_b0), srgb(0x8c_a6_a4)],
+        palette: vec![srgb(0x9cb4b0), srgb(0x8ca6a4)],
         width_m: 0.10,
         across_v: false,
     })
@@ -230,7 +231,7 @@ fn south_wall(w: f64, h: f64) -> Texture {
 
 fn east_wall(d: f64, h: f64) -> Texture {
     let wall = skirting(
-        Texture::from(Pattern::Plain(srgb(0xe0_d8_c6))).mottled(0.03, 0.025),
+        Texture::from(Pattern::Plain(srgb(0xe0d8c6))).mottled(0.03, 0.025),
         d,
         h,
     );
@@ -238,10 +239,10 @@ fn east_wall(d: f64, h: f64) -> Texture {
     let curtain = || {
         Texture::from(Pattern::Stripes {
             palette: vec![
-                srgb(0xa8_48_38),
-                srgb(0xba_5c_48),
-                srgb(0xc8_70_58),
-                srgb(0xb2_50_40),
+                srgb(0xa84838),
+                srgb(0xba5c48),
+                srgb(0xc87058),
+                srgb(0xb25040),
             ],
             width_m: 0.035,
             across_v: false,
@@ -250,15 +251,13 @@ fn east_wall(d: f64, h: f64) -> Texture {
     wall.with_decal([1.2, 0.38, 1.6, 1.35], view)
         .with_decal([0.85, 0.30, 0.35, 1.75], curtain())
         .with_decal([2.80, 0.30, 0.35, 1.75], curtain())
-        .with_decal([0.75, 0.25, 2.5, 0.05], plain(0x5a_42_2a))
+        .with_decal([0.75, 0.25, 2.5, 0.05], plain(0x5a422a))
 }
 
 fn west_wall(d: f64, h: f64) -> Texture {
     let brick = Texture::from(Pattern::Tiles {
-        palette: [0xa8_58_42, 0x9a_4c_3a, 0xb4_68_4e, 0x8c_48_3a]
-            .map(srgb)
-            .to_vec(),
-        grout: srgb(0xc8_bc_a8),
+        palette: [0xa85842, 0x9a4c3a, 0xb4684e, 0x8c483a].map(srgb).to_vec(),
+        grout: srgb(0xc8bca8),
         size_m: [0.22, 0.075],
         grout_m: 0.012,
         stagger: 0.5,
@@ -270,20 +269,20 @@ fn west_wall(d: f64, h: f64) -> Texture {
 }
 
 fn dining(scene: &mut SceneBuilder) {
-    let oak = [0xc8_94_58, 0x8a_5c_30];
+    let oak = [0xc89458, 0x8a5c30];
     let place = standing([1.55, 0.85, 0.0], 0.0);
     table(scene, &place, [1.4, 0.8, 0.74], oak);
-    chair(scene, &standing([1.15, 1.45, 0.0], 0.12), 1, 0x30_58_8a);
-    chair(scene, &standing([2.00, 1.50, 0.0], -0.2), 2, 0x8a_30_38);
+    chair(scene, &standing([1.15, 1.45, 0.0], 0.12), 1, 0x30588a);
+    chair(scene, &standing([2.00, 1.50, 0.0], -0.2), 2, 0x8a3038);
     chair(
         scene,
         &standing([2.55, 0.80, 0.0], -FRAC_PI_2 + 0.1),
         3,
-        0x30_7a_50,
+        0x307a50,
     );
     let on_table = |x: f64, y: f64, yaw: f64| place * standing([x, y, 0.74], yaw);
     let glaze = Texture::from(Pattern::Stripes {
-        palette: [0xf4_f0_e8, 0x2a_6a_9a].map(srgb).to_vec(),
+        palette: [0xf4f0e8, 0x2a6a9a].map(srgb).to_vec(),
         width_m: 0.016,
         across_v: true,
     });
@@ -293,7 +292,7 @@ fn dining(scene: &mut SceneBuilder) {
         &on_table(-0.35, 0.15, 0.5),
         [0.042, 0.10],
         glaze,
-        0xf4_f0_e8,
+        0xf4f0e8,
     );
     lying_book(
         scene,
@@ -311,10 +310,7 @@ fn dining(scene: &mut SceneBuilder) {
         3,
         0.001,
     );
-    let cereal = (
-        [0xf0_b4_28, 0xc0_38_28, 0x40_1c_10],
-        ["OATS", "with honey 500 g"],
-    );
+    let cereal = ([0xf0b428, 0xc03828, 0x401c10], ["OATS", "with honey 500 g"]);
     carton(
         scene,
         "carton",
@@ -328,10 +324,10 @@ fn dining(scene: &mut SceneBuilder) {
         "tin",
         &on_table(-0.1, 0.22, 1.0),
         [0.05, 0.12],
-        ([0xf2_ec_da, 0xc8_38_30, 0x28_40_28], ["TOMATO", "peeled"]),
+        ([0xf2ecda, 0xc83830, 0x284028], ["TOMATO", "peeled"]),
         0.001,
     );
-    let orange = Texture::from(Pattern::Plain(srgb(0xe8_88_20))).mottled(0.10, 0.008);
+    let orange = Texture::from(Pattern::Plain(srgb(0xe88820))).mottled(0.10, 0.008);
     for (index, [x, y]) in [[-0.52, -0.1], [-0.44, -0.16], [-0.45, -0.05]]
         .into_iter()
         .enumerate()
@@ -347,7 +343,7 @@ fn dining(scene: &mut SceneBuilder) {
 
 fn coffee_table(scene: &mut SceneBuilder) {
     let place = standing([3.3, 2.45, 0.0], 0.05);
-    let walnut = [0x8a_5e_3a, 0x5a_38_20];
+    let walnut = [0x8a5e3a, 0x5a3820];
     wooden(
         scene,
         "coffee table top",
@@ -366,8 +362,8 @@ fn coffee_table(scene: &mut SceneBuilder) {
             salt,
         );
     }
-    let page = Pattern::Picture(art::printed_page([0.30, 0.42], 0.0012, "THE DAILY ATLAS"));
-    let sheet = Texture::from(Pattern::Plain(srgb(0xf4_f0_e6)));
+    let page = Pattern::Picture(print::printed_page([0.30, 0.42], 0.0012, "THE DAILY ATLAS"));
+    let sheet = Texture::from(Pattern::Plain(srgb(0xf4f0e6)));
     let faces = [
         sheet.clone(),
         sheet.clone(),
@@ -383,8 +379,8 @@ fn coffee_table(scene: &mut SceneBuilder) {
         faces,
     );
     let bowl = Texture::from(Pattern::Dots {
-        ground: srgb(0xe8_e4_da),
-        dot: srgb(0x2a_58_8a),
+        ground: srgb(0xe8e4da),
+        dot: srgb(0x2a588a),
         pitch_m: 0.035,
         radius_m: 0.010,
     });
@@ -393,17 +389,17 @@ fn coffee_table(scene: &mut SceneBuilder) {
         &(place * standing([0.2, 0.05, 0.40], 0.0)),
         [0.06, 0.13],
         0.08,
-        [bowl, plain(0xd8_d2_c2), plain(0xe8_e4_da)],
+        [bowl, plain(0xd8d2c2), plain(0xe8e4da)],
     );
 }
 
 fn sideboard(scene: &mut SceneBuilder) {
-    let place = standing([4.76, 1.3, 0.0], -FRAC_PI_2);
-    let ash = [0xe0_cc_a8, 0xb8_98_68];
+    let place = standing([4.77, 1.3, 0.0], -FRAC_PI_2);
+    let ash = [0xe0cca8, 0xb89868];
     wooden(scene, "sideboard", &place, [1.5, 0.42, 0.62], ash, 110);
-    let screen = Pattern::Picture(art::screen([0.34, 0.23], 0.001, scene.random));
-    let keys = Pattern::Picture(art::keyboard([0.34, 0.23], 0.001));
-    let grey = plain(0xb9_bc_c2);
+    let screen = Pattern::Picture(print::screen([0.34, 0.23], 0.001, scene.random));
+    let keys = Pattern::Picture(print::keyboard([0.34, 0.23], 0.001));
+    let grey = plain(0xb9bcc2);
     let sides = || all_faces(&grey, 0);
     let mut deck = sides();
     deck[4] = keys.into();
@@ -413,10 +409,7 @@ fn sideboard(scene: &mut SceneBuilder) {
     lid[0] = Texture::from(screen).luminous();
     let hinge = laptop * tilted([0.0, 0.12, 0.018], 0.0, -0.28);
     scene.cuboid("laptop lid", &hinge, [0.34, 0.012, 0.23], lid);
-    let parcel = (
-        [0xb8_8e_5a, 0x8a_64_38, 0x3a_28_18],
-        ["FRAGILE", "this side up"],
-    );
+    let parcel = ([0xb88e5a, 0x8a6438, 0x3a2818], ["FRAGILE", "this side up"]);
     carton(
         scene,
         "parcel",
@@ -425,7 +418,7 @@ fn sideboard(scene: &mut SceneBuilder) {
         parcel,
         PIXEL_M,
     );
-    let tea = ([0x2a_5a_48, 0xe8_d0_80, 0xf4_ea_c8], ["TEA", "first flush"]);
+    let tea = ([0x2a5a48, 0xe8d080, 0xf4eac8], ["TEA", "first flush"]);
     tin(
         scene,
         "caddy",
@@ -435,7 +428,7 @@ fn sideboard(scene: &mut SceneBuilder) {
         0.001,
     );
     let pouf = Texture::from(Pattern::Checks {
-        colors: [srgb(0xd8_c8_a8), srgb(0x5a_78_8a)],
+        colors: [srgb(0xd8c8a8), srgb(0x5a788a)],
         size_m: 0.05,
     })
     .mottled(0.08, 0.02);

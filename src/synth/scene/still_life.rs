@@ -5,23 +5,23 @@ use std::f64::consts::TAU;
 use crate::geom::RigidTransform;
 use crate::synth::texture::{Pattern, Texture, srgb};
 
-use super::{SceneBuilder, all_faces, art, standing};
+use super::{SceneBuilder, all_faces, print, standing};
 
 /// Colours and words of a label: ground, accent, ink; title, line.
 pub(super) type LabelText<'a> = ([u32; 3], [&'a str; 2]);
 
 /// Cover and ink colours of books.
 const BOOK_COLORS: [[u32; 2]; 10] = [
-    [0x8c_2a_2a, 0xf0_dc_a0],
-    [0x1f_3c_64, 0xe8_e8_e8],
-    [0x2e_5c_3e, 0xf0_e6_b0],
-    [0xd8_8a_24, 0x2a_1c_10],
-    [0xe6_de_cc, 0x6a_1c_1c],
-    [0x4a_2e_5e, 0xe8_d8_f0],
-    [0x20_20_24, 0xe0_b0_40],
-    [0x2f_7f_86, 0xf4_f4_ea],
-    [0xb8_4c_5a, 0xff_f4_e0],
-    [0x6a_4a_2c, 0xf0_e0_b8],
+    [0x8c2a2a, 0xf0dca0],
+    [0x1f3c64, 0xe8e8e8],
+    [0x2e5c3e, 0xf0e6b0],
+    [0xd88a24, 0x2a1c10],
+    [0xe6decc, 0x6a1c1c],
+    [0x4a2e5e, 0xe8d8f0],
+    [0x202024, 0xe0b040],
+    [0x2f7f86, 0xf4f4ea],
+    [0xb84c5a, 0xfff4e0],
+    [0x6a4a2c, 0xf0e0b8],
 ];
 
 const BOOK_TITLES: [&str; 31] = [
@@ -73,7 +73,7 @@ pub(super) fn carton(
 ) {
     let front = |width: f64| {
         Texture::from(Pattern::Picture(
-            art::label([width, h], pixel_m, colors, words).finish(),
+            print::label([width, h], pixel_m, colors, words).finish(),
         ))
     };
     let stripes = Texture::from(Pattern::Stripes {
@@ -101,8 +101,8 @@ pub(super) fn tin(
     (colors, words): LabelText<'_>,
     pixel_m: f64,
 ) {
-    let label = art::wrapped_label([TAU * radius_m, height_m], pixel_m, colors, words);
-    let lid = Texture::from(Pattern::Plain(srgb(0xb8_ba_bc))).mottled(0.08, 0.012);
+    let label = print::wrapped_label([TAU * radius_m, height_m], pixel_m, colors, words);
+    let lid = Texture::from(Pattern::Plain(srgb(0xb8babc))).mottled(0.08, 0.012);
     let ring = lid.clone().with_decal(
         [
             0.6 * radius_m,
@@ -111,7 +111,7 @@ pub(super) fn tin(
             0.8 * radius_m,
         ],
         Pattern::Stripes {
-            palette: vec![srgb(0xa4_a6_aa), srgb(0xc8_ca_cc)],
+            palette: vec![srgb(0xa4a6aa), srgb(0xc8cacc)],
             width_m: 0.2 * radius_m,
             across_v: true,
         },
@@ -168,7 +168,7 @@ pub(super) fn mug(
         world_from_mug,
         level_m,
         [inner_m, 0.0],
-        plain(0x3a_1e_10),
+        plain(0x3a1e10),
     );
     scene.solid_cylinder(world_from_mug, radius_m, level_m);
     let grip = all_faces(&plain(glaze), 3);
@@ -208,7 +208,7 @@ pub(super) fn lying_book(
 ) {
     let [ground, ink] = BOOK_COLORS[index % BOOK_COLORS.len()];
     let title = BOOK_TITLES[index % BOOK_TITLES.len()];
-    let cover = art::label(
+    let cover = print::label(
         [w, d],
         pixel_m,
         [ground, ink, ink],
@@ -217,7 +217,7 @@ pub(super) fn lying_book(
     .finish();
     let pages = pages_texture(false);
     // Seen from the left, right is −y: the spine's picture lies on its side there.
-    let back = art::label([d, h], pixel_m, [ground, ink, ink], ["", ""]).finish();
+    let back = print::label([d, h], pixel_m, [ground, ink, ink], ["", ""]).finish();
     let faces = [
         pages.clone(),
         pages.clone(),
@@ -240,7 +240,7 @@ pub(super) fn standing_book(
 ) {
     let [ground, ink] = BOOK_COLORS[index % BOOK_COLORS.len()];
     let title = BOOK_TITLES[index / 7 % BOOK_TITLES.len()];
-    let spine = art::spine([w, h], pixel_m, srgb(ground), srgb(ink), title);
+    let spine = print::spine([w, h], pixel_m, srgb(ground), srgb(ink), title);
     let cover = Texture::from(Pattern::Plain(srgb(ground))).mottled(0.06, 0.01);
     let faces = [
         Pattern::Picture(spine).into(),
@@ -256,7 +256,7 @@ pub(super) fn standing_book(
 /// The edges of the pages.
 fn pages_texture(is_standing: bool) -> Texture {
     Texture::from(Pattern::Stripes {
-        palette: vec![srgb(0xf0_ea_d8), srgb(0xdc_d2_b8)],
+        palette: vec![srgb(0xf0ead8), srgb(0xdcd2b8)],
         width_m: 0.004,
         across_v: !is_standing,
     })

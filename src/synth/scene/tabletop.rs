@@ -12,7 +12,7 @@ use crate::synth::texture::{Pattern, Texture, srgb};
 
 use super::furniture::wooden;
 use super::still_life::{carton, lying_book, mug, plain, tin};
-use super::{Scene, SceneBuilder, art, standing};
+use super::{Scene, SceneBuilder, art, print, standing};
 
 const TOP_M: f64 = 0.74;
 const PIXEL_M: f64 = 0.0005;
@@ -32,6 +32,7 @@ fn lighting() -> Lighting {
     Lighting {
         ambient: [0.60, 0.62, 0.66],
         ambient_reach_m: 0.30,
+        bounce: [0.08, 0.07, 0.05],
         lamp: [0.62, 0.58, 0.52],
         lamp_center_m: Point3::new(-0.9, -0.5, 2.1),
         lamp_axes_m: [Vector3::x() * 0.35, Vector3::y() * 0.35],
@@ -68,13 +69,13 @@ fn waypoints() -> Vec<[[f64; 3]; 2]> {
 
 fn studio(scene: &mut SceneBuilder) {
     let half = 1.6;
-    let h = 2.2;
+    let h = 1.45;
     let world = RigidTransform::identity();
     scene.set_edge_scale(8.0);
     scene.begin_body();
     let tiles = Texture::from(Pattern::Tiles {
-        palette: [0xa8_a4_9c, 0xb4_b0_a6, 0x9c_98_92].map(srgb).to_vec(),
-        grout: srgb(0x74_70_6a),
+        palette: [0xa8a49c, 0xb4b0a6, 0x9c9892].map(srgb).to_vec(),
+        grout: srgb(0x74706a),
         size_m: [0.30, 0.30],
         grout_m: 0.012,
         stagger: 0.0,
@@ -91,8 +92,8 @@ fn studio(scene: &mut SceneBuilder) {
     );
     let wall = || {
         Texture::from(Pattern::Gradient {
-            from: srgb(0xd8_dc_e0),
-            to: srgb(0x9a_a8_b4),
+            from: srgb(0xd8dce0),
+            to: srgb(0x9aa8b4),
             height_m: h,
         })
         .mottled(0.02, 0.04)
@@ -132,8 +133,8 @@ fn studio(scene: &mut SceneBuilder) {
 fn table(scene: &mut SceneBuilder) {
     let [w, d, h] = [1.2, 0.8, 0.035];
     let top = Texture::from(Pattern::Wood {
-        light: srgb(0xd8_ae_74),
-        dark: srgb(0x9c_6e_3c),
+        light: srgb(0xd8ae74),
+        dark: srgb(0x9c6e3c),
         ring_m: 0.022,
         along_v: false,
         plank_m: Some([1.3, 0.16]),
@@ -141,7 +142,7 @@ fn table(scene: &mut SceneBuilder) {
     .salted(9)
     .with_decal(
         [0.70, 0.42, 0.21, 0.297],
-        Pattern::Picture(art::printed_page([0.21, 0.297], PIXEL_M, "ON TEXTURE")),
+        Pattern::Picture(print::printed_page([0.21, 0.297], PIXEL_M, "ON TEXTURE")),
     )
     .with_decal([0.06, 0.48, 0.24, 0.24], checkerboard())
     .with_decal(
@@ -154,8 +155,8 @@ fn table(scene: &mut SceneBuilder) {
     );
     let edge = |along_v: bool| {
         Texture::from(Pattern::Wood {
-            light: srgb(0xc8_9c_62),
-            dark: srgb(0x8c_60_32),
+            light: srgb(0xc89c62),
+            dark: srgb(0x8c6032),
             ring_m: 0.012,
             along_v,
             plank_m: None,
@@ -183,7 +184,7 @@ fn table(scene: &mut SceneBuilder) {
             "table leg",
             &foot,
             [0.06, 0.06, TOP_M - h],
-            [0xb8_8a_54, 0x80_56_2c],
+            [0xb88a54, 0x80562c],
             salt,
         );
     }
@@ -192,10 +193,10 @@ fn table(scene: &mut SceneBuilder) {
 
 fn checkerboard() -> Texture {
     let squares = Pattern::Checks {
-        colors: [srgb(0x18_18_1a), srgb(0xf4_f4_f0)],
+        colors: [srgb(0x18181a), srgb(0xf4f4f0)],
         size_m: 0.025,
     };
-    Texture::from(Pattern::Plain(srgb(0xf4_f4_f0))).with_decal([0.02, 0.02, 0.20, 0.20], squares)
+    Texture::from(Pattern::Plain(srgb(0xf4f4f0))).with_decal([0.02, 0.02, 0.20, 0.20], squares)
 }
 
 fn on_table(x: f64, y: f64, yaw_rad: f64) -> RigidTransform {
@@ -204,7 +205,7 @@ fn on_table(x: f64, y: f64, yaw_rad: f64) -> RigidTransform {
 
 fn boxes_and_tins(scene: &mut SceneBuilder) {
     let cereal = (
-        [0xf2_c2_3a, 0xc8_34_28, 0x38_1a_10],
+        [0xf2c23a, 0xc83428, 0x381a10],
         ["CRUNCH", "golden flakes 375 g"],
     );
     carton(
@@ -216,7 +217,7 @@ fn boxes_and_tins(scene: &mut SceneBuilder) {
         PIXEL_M,
     );
     let tea = (
-        [0x1e_50_48, 0xe0_c0_68, 0xf6_ec_cc],
+        [0x1e5048, 0xe0c068, 0xf6eccc],
         ["JASMIN", "green tea 40 bags"],
     );
     carton(
@@ -227,7 +228,7 @@ fn boxes_and_tins(scene: &mut SceneBuilder) {
         tea,
         PIXEL_M,
     );
-    let matches = ([0xc8_40_30, 0xf0_d8_90, 0xff_f4_d8], ["SPARK", "50"]);
+    let matches = ([0xc84030, 0xf0d890, 0xfff4d8], ["SPARK", "50"]);
     carton(
         scene,
         "matches",
@@ -236,10 +237,7 @@ fn boxes_and_tins(scene: &mut SceneBuilder) {
         matches,
         PIXEL_M,
     );
-    let soup = (
-        [0xf4_ee_dc, 0xb8_30_28, 0x2a_2a_2a],
-        ["TOMATO", "condensed soup"],
-    );
+    let soup = ([0xf4eedc, 0xb83028, 0x2a2a2a], ["TOMATO", "condensed soup"]);
     tin(
         scene,
         "soup tin",
@@ -248,7 +246,7 @@ fn boxes_and_tins(scene: &mut SceneBuilder) {
         soup,
         PIXEL_M,
     );
-    let beans = ([0x2a_58_8a, 0xf0_c8_48, 0xff_ff_f0], ["BEANS", "in brine"]);
+    let beans = ([0x2a588a, 0xf0c848, 0xfffff0], ["BEANS", "in brine"]);
     tin(
         scene,
         "bean tin",
@@ -257,10 +255,7 @@ fn boxes_and_tins(scene: &mut SceneBuilder) {
         beans,
         PIXEL_M,
     );
-    let fish = (
-        [0xe8_a0_30, 0x20_40_5a, 0x14_20_30],
-        ["TUNA", "line caught"],
-    );
+    let fish = ([0xe8a030, 0x20405a, 0x142030], ["TUNA", "line caught"]);
     tin(
         scene,
         "flat tin",
@@ -294,7 +289,7 @@ fn books(scene: &mut SceneBuilder) {
 
 fn crockery(scene: &mut SceneBuilder) {
     let rings = Texture::from(Pattern::Stripes {
-        palette: [0xf6_f2_ea, 0xf6_f2_ea, 0x28_60_98, 0xf6_f2_ea, 0xc8_48_38]
+        palette: [0xf6f2ea, 0xf6f2ea, 0x286098, 0xf6f2ea, 0xc84838]
             .map(srgb)
             .to_vec(),
         width_m: 0.012,
@@ -306,11 +301,11 @@ fn crockery(scene: &mut SceneBuilder) {
         &on_table(0.03, 0.06, -0.6),
         [0.042, 0.095],
         rings,
-        0xf6_f2_ea,
+        0xf6f2ea,
     );
     let dots = Texture::from(Pattern::Dots {
-        ground: srgb(0x2c_70_60),
-        dot: srgb(0xf0_e8_d0),
+        ground: srgb(0x2c7060),
+        dot: srgb(0xf0e8d0),
         pitch_m: 0.022,
         radius_m: 0.006,
     });
@@ -320,11 +315,11 @@ fn crockery(scene: &mut SceneBuilder) {
         &on_table(-0.20, 0.10, 2.4),
         [0.038, 0.088],
         dots,
-        0x2c_70_60,
+        0x2c7060,
     );
     let vase = Texture::from(Pattern::Flecks {
-        ground: srgb(0xd8_cc_b4),
-        fleck: srgb(0x5a_6a_7a),
+        ground: srgb(0xd8ccb4),
+        fleck: srgb(0x5a6a7a),
         cell_m: 0.010,
     });
     scene.cylinder(
@@ -332,17 +327,15 @@ fn crockery(scene: &mut SceneBuilder) {
         &on_table(0.27, 0.03, 0.0),
         [0.030, 0.052],
         0.17,
-        [vase, plain(0x30_28_22), plain(0x8a_80_70)],
+        [vase, plain(0x302822), plain(0x8a8070)],
     );
 }
 
 fn toys(scene: &mut SceneBuilder) {
     let ball = Texture::from(Pattern::Stripes {
-        palette: [
-            0xd8_34_30, 0xf8_f4_ea, 0x2a_6c_b8, 0xf8_f4_ea, 0xe8_b4_28, 0xf8_f4_ea,
-        ]
-        .map(srgb)
-        .to_vec(),
+        palette: [0xd83430, 0xf8f4ea, 0x2a6cb8, 0xf8f4ea, 0xe8b428, 0xf8f4ea]
+            .map(srgb)
+            .to_vec(),
         width_m: PI * 0.065 / 6.0,
         across_v: false,
     })
@@ -354,12 +347,10 @@ fn toys(scene: &mut SceneBuilder) {
         #[expect(clippy::cast_possible_truncation, reason = "six faces")]
         let salt = face as u32 + 3;
         Texture::from(Pattern::Tiles {
-            palette: [
-                0xd0_28_28, 0x20_50_b0, 0x28_8a_40, 0xf0_d0_20, 0xf4_f4_f0, 0xe8_78_20,
-            ]
-            .map(srgb)
-            .to_vec(),
-            grout: srgb(0x14_14_14),
+            palette: [0xd02828, 0x2050b0, 0x288a40, 0xf0d020, 0xf4f4f0, 0xe87820]
+                .map(srgb)
+                .to_vec(),
+            grout: srgb(0x141414),
             size_m: [0.019, 0.019],
             grout_m: 0.003,
             stagger: 0.0,
@@ -374,14 +365,14 @@ fn toys(scene: &mut SceneBuilder) {
         cube,
     );
     let rule = Texture::from(Pattern::Tiles {
-        palette: vec![srgb(0xe8_c8_50)],
-        grout: srgb(0x3a_2a_10),
+        palette: vec![srgb(0xe8c850)],
+        grout: srgb(0x3a2a10),
         size_m: [0.010, 0.05],
         grout_m: 0.002,
         stagger: 0.0,
         variation: 0.0,
     });
-    let side = plain(0xd8_b8_40);
+    let side = plain(0xd8b840);
     let faces = [
         side.clone(),
         side.clone(),
@@ -396,13 +387,9 @@ fn toys(scene: &mut SceneBuilder) {
         [0.20, 0.03, 0.006],
         faces,
     );
-    for (index, (y, color)) in [
-        (-0.13, 0xd0_40_38),
-        (-0.16, 0x30_70_b0),
-        (-0.19, 0x3a_8a_48),
-    ]
-    .into_iter()
-    .enumerate()
+    for (index, (y, color)) in [(-0.13, 0xd04038), (-0.16, 0x3070b0), (-0.19, 0x3a8a48)]
+        .into_iter()
+        .enumerate()
     {
         let at = on_table(0.42, y, 0.2 - 0.15 * index as f64);
         let faces = super::all_faces(&plain(color), 0);
