@@ -201,7 +201,7 @@ impl DepthImage {
         reason = "range-checked before the casts"
     )]
     pub fn nearest(&self, [x_px, y_px]: [f64; 2]) -> Option<f32> {
-        let (x, y) = ((x_px + 0.5).floor(), (y_px + 0.5).floor());
+        let (x, y) = (x_px + 0.5, y_px + 0.5);
         let inside =
             x >= 0.0 && y >= 0.0 && x < f64::from(self.width) && y < f64::from(self.height);
         if !inside {

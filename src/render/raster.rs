@@ -127,15 +127,12 @@ impl Projector {
             )
     }
 
-    #[expect(
-        clippy::cast_possible_truncation,
-        reason = "snapping is meant; float to int casts saturate, and unsnappable vertices are clipped"
-    )]
+    #[expect(clippy::cast_possible_truncation, reason = "rounding to f32 is meant")]
     fn snap(h: &Vector3<f64>, outcode: u8) -> ScreenVertex {
         let inv_z = 1.0 / h.z;
         ScreenVertex {
-            x: (h.x * inv_z * SUBPIXEL).round() as i32,
-            y: (h.y * inv_z * SUBPIXEL).round() as i32,
+            x: round_to_int(h.x * inv_z * SUBPIXEL),
+            y: round_to_int(h.y * inv_z * SUBPIXEL),
             inv_z: inv_z as f32,
             outcode,
         }
@@ -145,6 +142,15 @@ impl Projector {
         let h = self.homogeneous(point_in_world);
         Self::snap(&h, self.outcode(&h))
     }
+}
+
+/// The nearest integer; `f64::round` is a library call on baseline x86-64.
+#[expect(
+    clippy::cast_possible_truncation,
+    reason = "float to int casts saturate, and vertices out of range are clipped"
+)]
+fn round_to_int(value: f64) -> i32 {
+    (value + 0.5f64.copysign(value)) as i32
 }
 
 /// Draws every triangle of `mesh` into `out`, which takes the camera's size.
@@ -308,10 +314,11 @@ fn draw(corners: [ScreenVertex; 3], triangle: u32, out: &mut ViewBuffer) {
     let inv_z = [a.inv_z, b.inv_z, c.inv_z];
     let nearest = inv_z[0].max(inv_z[1]).max(inv_z[2]);
     let farthest = inv_z[0].min(inv_z[1]).min(inv_z[2]);
+    let inv_area2 = 1.0 / area2 as f64;
     let weigh = |value: fn(&Edge) -> i64| {
         let terms: [f64; 3] =
             std::array::from_fn(|i| value(&edges[i]) as f64 * f64::from(inv_z[i]));
-        (terms[0] + terms[1] + terms[2]) / area2 as f64
+        (terms[0] + terms[1] + terms[2]) * inv_area2
     };
     let (step_x, step_y) = (weigh(|e| e.step_x), weigh(|e| e.step_y));
     let mut row_inv_z = weigh(|e| e.unbiased);

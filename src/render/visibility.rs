@@ -150,8 +150,8 @@ impl VisibilityBuffer {
         reason = "range-checked before the casts"
     )]
     fn pixel_index(&self, [x_px, y_px]: [f64; 2]) -> Option<usize> {
-        let x = ((x_px + 0.5) * self.scale[0]).floor();
-        let y = ((y_px + 0.5) * self.scale[1]).floor();
+        let x = (x_px + 0.5) * self.scale[0];
+        let y = (y_px + 0.5) * self.scale[1];
         let (width, height) = (f64::from(self.view.width), f64::from(self.view.height));
         (x >= 0.0 && y >= 0.0 && x < width && y < height)
             .then(|| y as usize * self.view.width as usize + x as usize)
@@ -248,7 +248,7 @@ pub fn depth_slope_m(
 ) -> f64 {
     let [fx, fy, _, _] = camera.intrinsics_px();
     let along_ray = normal_in_camera.dot(&point_in_camera.coords);
-    let steepness = (normal_in_camera.x / fx).hypot(normal_in_camera.y / fy);
+    let steepness = nalgebra::Vector2::new(normal_in_camera.x / fx, normal_in_camera.y / fy).norm();
     let slope_m = point_in_camera.z * point_in_camera.z * steepness / along_ray.abs();
     if slope_m.is_nan() {
         f64::INFINITY

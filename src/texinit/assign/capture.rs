@@ -5,8 +5,10 @@ use std::sync::Arc;
 
 use nalgebra::Point3;
 
-use crate::geom::{ColorImage, DepthImage, ImageError, PinholeCamera, RigidTransform};
-use crate::keyframe::{DecodedDepth, DecodedFrame, FrameQuality};
+use crate::geom::{
+    ColorImage, DepthImage, EncodedColor, ImageError, PinholeCamera, RigidTransform,
+};
+use crate::keyframe::{DecodedDepth, DecodedFrame};
 use crate::mesh::TriMesh;
 
 use super::FramePose;
@@ -44,10 +46,13 @@ impl Capture {
                 continue;
             }
             let rows: [[f64; 4]; 4] = std::array::from_fn(|r| list(&entry["c2w"][r]));
+            let id = entry["id"].as_u64().unwrap();
+            let photo = std::fs::read(folder.join(format!("frames/{id:06}.jpg"))).unwrap();
+            let photo = EncodedColor::from_file(photo.into()).unwrap();
             poses.push(FramePose {
-                id: entry["id"].as_u64().unwrap() as u32,
+                id: id as u32,
                 world_from_camera: RigidTransform::try_from_matrix(&rows).unwrap(),
-                quality: FrameQuality::default(),
+                quality: crate::keyframe::quality::measure(&photo).unwrap(),
             });
             let camera = |kind: &str| {
                 let shared = &intrinsics[kind];
@@ -65,7 +70,7 @@ impl Capture {
                 PinholeCamera::new(px, side("width"), side("height")).unwrap()
             };
             cameras.push([camera("color"), camera("depth")]);
-            ids.push(entry["id"].as_u64().unwrap());
+            ids.push(id);
         }
         Some(Self {
             mesh: load_ply(&std::fs::read(folder.join(mesh)).unwrap()),
