@@ -135,6 +135,25 @@ impl PinholeCamera {
             && y_px <= f64::from(self.height - 1)
     }
 
+    /// The camera of [`super::ColorImage::reduced`].
+    ///
+    /// # Errors
+    /// [`CameraError::Size`] when nothing of the image is left.
+    pub fn reduced(&self, factor: u32) -> Result<Self, CameraError> {
+        let factor = factor.max(1);
+        let scale = 1.0 / f64::from(factor);
+        Self::new(
+            [
+                self.fx * scale,
+                self.fy * scale,
+                (self.cx + 0.5) * scale - 0.5,
+                (self.cy + 0.5) * scale - 0.5,
+            ],
+            (self.width / factor).max(1),
+            (self.height / factor).max(1),
+        )
+    }
+
     /// The same camera with its image resampled to `width`×`height` (pixel centres at integers).
     ///
     /// # Errors

@@ -1,5 +1,7 @@
 //! Decoded images: sRGB colour and metric depth.
 
+use super::color::{linear_from_srgb, srgb_from_linear};
+
 /// Why an image was refused.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ImageError {
@@ -128,6 +130,36 @@ impl ColorImage {
         self.pixels[y * self.width as usize + x]
     }
 
+    /// Blocks of `factor`×`factor` pixels averaged in linear light; columns and rows that do not
+    /// fill a block are left out. Its camera: [`super::PinholeCamera::reduced`].
+    #[must_use]
+    pub fn reduced(&self, factor: u32) -> Self {
+        let factor = factor.clamp(1, self.width.min(self.height));
+        if factor == 1 {
+            return self.clone();
+        }
+        let (width, height) = (self.width / factor, self.height / factor);
+        let share = 1.0 / (factor * factor) as f32;
+        let mut pixels = Vec::with_capacity(width as usize * height as usize);
+        for y in 0..height {
+            for x in 0..width {
+                let mut sum = [0.0; 3];
+                for (dy, dx) in (0..factor).flat_map(|dy| (0..factor).map(move |dx| (dy, dx))) {
+                    let pixel = self.pixel_clamped(x * factor + dx, y * factor + dy);
+                    for (sum, byte) in sum.iter_mut().zip(pixel) {
+                        *sum += linear_from_srgb(byte);
+                    }
+                }
+                pixels.push(sum.map(|sum| srgb_from_linear(sum * share)));
+            }
+        }
+        Self {
+            width,
+            height,
+            pixels,
+        }
+    }
+
     /// Bilinear sample in sRGB bytes' scale (0–255); the lookup is clamped to the image.
     #[expect(
         clippy::cast_possible_truncation,
@@ -221,6 +253,17 @@ mod tests {
         assert!(ColorImage::new(2, 2, vec![[0; 3]; 3]).is_err());
         assert!(ColorImage::new(0, 0, vec![]).is_err());
         assert!(DepthImage::new(1 << 15, 1, vec![0.0; 1 << 15]).is_err());
+    }
+
+    #[test]
+    fn reducing_averages_whole_blocks() {
+        let pixels = (0..20).map(|i| [if i % 5 < 2 { 80 } else { 200 }; 3]).collect();
+        let image = ColorImage::new(5, 4, pixels).unwrap();
+        let half = image.reduced(2);
+        assert_eq!((half.width(), half.height()), (2, 2));
+        assert_eq!(half.pixels(), &[[80; 3], [200; 3], [80; 3], [200; 3]]);
+        assert_eq!(image.reduced(100).width(), 1);
+        assert_eq!(image.reduced(1), image);
     }
 
     #[test]

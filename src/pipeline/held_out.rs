@@ -25,12 +25,16 @@ impl Default for HeldOutParams {
     }
 }
 
+/// Photos wider than this are compared at a whole fraction of their size: the atlas' texels are
+/// not finer, and a person cannot see more in the report.
+const MAX_WIDTH_PX: u32 = 1024;
+
 /// A photo that the texture has not seen, and the texture rendered at its pose.
 #[derive(Debug)]
 pub struct HeldOutView {
     /// The keyframe.
     pub keyframe: Arc<Keyframe>,
-    /// The photo, undistorted.
+    /// The photo, undistorted, at most [`MAX_WIDTH_PX`] wide.
     pub photo: ColorImage,
     /// The rendering, of the same size.
     pub render: ColorImage,
@@ -76,12 +80,15 @@ pub(super) fn render_views(
         .par_iter()
         .map(|keyframe| {
             let frame = decode(keyframe).ok()?;
+            let factor = frame.color.width().div_ceil(MAX_WIDTH_PX);
+            let photo = frame.color.reduced(factor);
+            let camera = frame.color_camera.reduced(factor).ok()?;
             let camera_from_world: RigidTransform = keyframe.world_from_camera.inverse();
             let rendered = render_textured(
                 mesh,
                 layout,
                 texture,
-                &frame.color_camera,
+                &camera,
                 &camera_from_world,
                 &RenderParams::default(),
             )
@@ -89,14 +96,14 @@ pub(super) fn render_views(
             let mut buffer = ViewBuffer::default();
             rasterize(
                 mesh,
-                &frame.color_camera,
+                &camera,
                 &camera_from_world,
                 &mut RasterWorkspace::default(),
                 &mut buffer,
             );
             Some(HeldOutView {
                 keyframe: Arc::clone(keyframe),
-                photo: frame.color.clone(),
+                photo,
                 render: rendered.color,
                 mask: rendered.mask,
                 triangle: buffer.triangle,

@@ -32,11 +32,10 @@ fn num_texels(size: [u32; 2]) -> u64 {
     u64::from(size[0]) * u64::from(size[1])
 }
 
-/// Smallest page.
-const MIN_SIDE_TEXEL: u32 = 64;
+/// Sides of a single page are multiples of this.
+const SIDE_STEP_TEXEL: u32 = 64;
 
-/// The smallest placement found: one page of power-of-two sides (as wide as high or twice as wide)
-/// where that holds everything, else as many full or half pages as it takes. Nothing when
+/// The smallest placement found: one page, nearly square, where that holds everything, else as many full or half pages as it takes. Nothing when
 /// `max_texels` do not hold it. Each rectangle is at most `max_side_texel` wide and high.
 pub(super) fn place(rects: &[[u32; 2]], max_side_texel: u32, max_texels: u64) -> Option<Placement> {
     let area: u64 = rects.iter().map(|&rect| num_texels(rect)).sum();
@@ -45,7 +44,7 @@ pub(super) fn place(rects: &[[u32; 2]], max_side_texel: u32, max_texels: u64) ->
     }
     let orders = [perimeter, num_texels].map(|size_of| from_the_largest(rects, size_of));
     let largest: [u32; 2] = [0, 1].map(|axis| rects.iter().map(|r| r[axis]).max().unwrap_or(0));
-    for size in single_page_sizes(max_side_texel) {
+    for size in single_page_sizes(area, max_side_texel) {
         let is_worth_trying = num_texels(size) >= area && (0..2).all(|k| size[k] >= largest[k]);
         if !is_worth_trying {
             continue;
@@ -71,16 +70,24 @@ pub(super) fn place(rects: &[[u32; 2]], max_side_texel: u32, max_texels: u64) ->
         .min_by_key(|placement| (placement.num_texels(), placement.num_pages))
 }
 
-/// From the smallest up: 64 × 64, 128 × 64, 128 × 128, …
-fn single_page_sizes(max_side_texel: u32) -> impl Iterator<Item = [u32; 2]> {
-    let sides = std::iter::successors(Some(MIN_SIDE_TEXEL), move |side| {
-        side.checked_mul(2).filter(|next| *next <= max_side_texel)
-    });
-    sides.flat_map(|side| {
-        let wide = [side, side / 2];
-        let square = [side, side];
-        let first = (side > MIN_SIDE_TEXEL).then_some(wide);
-        first.into_iter().chain([square])
+/// From the smallest that could hold `area` up to the largest page, nearly square, in steps of
+/// about a thirtieth of the side: fine enough that little is left empty, coarse enough that few
+/// are tried. Sides are whole multiples of [`SIDE_STEP_TEXEL`], which keeps the blocks of texture
+/// compression and the first mipmaps whole; no viewer of today needs powers of two.
+#[expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "the root of an area below max_side² fits; others are cut off by the range"
+)]
+fn single_page_sizes(area: u64, max_side_texel: u32) -> impl Iterator<Item = [u32; 2]> {
+    let first_side = (area as f64).sqrt() as u32 / SIDE_STEP_TEXEL * SIDE_STEP_TEXEL;
+    let step = (first_side / 32).next_multiple_of(SIDE_STEP_TEXEL).max(SIDE_STEP_TEXEL);
+    let sides = (first_side.max(SIDE_STEP_TEXEL)..max_side_texel)
+        .step_by(step as usize)
+        .chain([max_side_texel]);
+    sides.flat_map(move |side| {
+        let wide = [side, side.saturating_sub(step).max(SIDE_STEP_TEXEL)];
+        [wide, [side, side]]
     })
 }
 
