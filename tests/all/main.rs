@@ -1,5 +1,6 @@
 //! The one integration binary: each file is one subject.
-mod import;
 
 mod bag_interop;
+mod import;
 mod python;
+mod synth;
