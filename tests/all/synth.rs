@@ -1,4 +1,5 @@
 //! A synthetic recording read back from its bag, against the truth that its metadata names.
+#![expect(clippy::unwrap_used, reason = "a step that fails fails the test")]
 
 use std::collections::BTreeMap;
 
