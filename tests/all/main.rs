@@ -20,3 +20,6 @@ mod python;
 mod replay;
 mod report;
 mod textured_room;
+mod import;
+mod python;
+mod synth;
