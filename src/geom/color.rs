@@ -17,6 +17,11 @@ static LINEAR_FROM_SRGB: LazyLock<[f32; 256]> = LazyLock::new(|| {
     })
 });
 
+/// Linear light in [0, 1] of all sRGB bytes, for loops over pixels.
+pub fn linear_table() -> &'static [f32; 256] {
+    &LINEAR_FROM_SRGB
+}
+
 /// Linear light in [0, 1] of an sRGB byte (IEC 61966-2-1).
 pub fn linear_from_srgb(byte: u8) -> f32 {
     LINEAR_FROM_SRGB[usize::from(byte)]

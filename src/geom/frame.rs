@@ -139,6 +139,15 @@ impl RigidTransform {
         self.isometry.transform_point(point_in_src)
     }
 
+    /// All points in `dst`: one rotation matrix serves them all.
+    pub fn transform_points(&self, points_in_src: &[Point3<f64>]) -> Vec<Point3<f64>> {
+        let rotation = self.rotation().to_rotation_matrix();
+        points_in_src
+            .iter()
+            .map(|point| Point3::from(rotation * point.coords + self.translation()))
+            .collect()
+    }
+
     /// The direction in `dst`.
     pub fn transform_vector(&self, vector_in_src: &Vector3<f64>) -> Vector3<f64> {
         self.isometry.transform_vector(vector_in_src)

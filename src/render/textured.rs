@@ -74,7 +74,7 @@ pub fn render_textured(
         layout,
         texture,
         camera: fine,
-        camera_from_world: *camera_from_world,
+        points_in_camera: camera_from_world.transform_points(mesh.positions_m()),
     };
     let rows: Vec<Vec<Option<[u8; 3]>>> = (0..height)
         .into_par_iter()
@@ -99,7 +99,7 @@ struct Shader<'a> {
     texture: &'a AtlasTexture,
     /// The camera of the samples.
     camera: PinholeCamera,
-    camera_from_world: RigidTransform,
+    points_in_camera: Vec<Point3<f64>>,
 }
 
 impl Shader<'_> {
@@ -141,10 +141,9 @@ impl Shader<'_> {
         let chart = self.layout.chart_of_triangle.get(triangle.index())?;
         let page_index = self.layout.charts.get(chart.index())?.page;
         let page = self.texture.pages.get(page_index as usize)?;
-        let corners: [Point3<f64>; 3] = self
-            .mesh
-            .corners_m(triangle)
-            .map(|corner| self.camera_from_world.transform_point(&corner));
+        let [a, b, c] = self.mesh.triangles()[triangle.index()].map(|v| v as usize);
+        let points = &self.points_in_camera;
+        let corners = [points[a], points[b], points[c]];
         let ray = self.camera.ray(f64::from(x), f64::from(y));
         let weights = inside(barycentric(&corners, &ray).unwrap_or([1.0 / 3.0; 3]));
         #[expect(clippy::cast_possible_truncation, reason = "rounding to f32 is meant")]
@@ -211,4 +210,136 @@ pub fn sample_page(page: &TexturePage, [x_texel, y_texel]: [f32; 2]) -> Option<[
         }
     }
     Some(sum.map(|sum| sum / total))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::atlas::{ChartId, PlacedChart, TexelRect};
+
+    /// A square of 1 m in the plane z = 2 + slope·x, on a page whose texels are 1 cm of x and y;
+    /// red is the column, green the row.
+    fn square(slope: f64) -> (TriMesh, AtlasLayout, AtlasTexture) {
+        let corners = [[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]];
+        let positions = corners
+            .map(|[x, y]| Point3::new(x, y, 2.0 + slope * x))
+            .to_vec();
+        let (mesh, _) = TriMesh::from_soup(positions, vec![[0, 1, 2], [0, 2, 3]]).unwrap();
+        let corners_texel = mesh
+            .triangle_ids()
+            .map(|t| {
+                let texel = |v: f64| ((v + 0.5) * 100.0 + 2.0) as f32;
+                mesh.corners_m(t).map(|p| [texel(p.x), texel(p.y)])
+            })
+            .collect();
+        let rect = TexelRect {
+            x: 0,
+            y: 0,
+            width: 104,
+            height: 104,
+        };
+        let layout = AtlasLayout {
+            page_size_texel: [104, 104],
+            num_pages: 1,
+            texels_per_m: 100.0,
+            charts: vec![PlacedChart {
+                page: 0,
+                rect,
+                triangles: mesh.triangle_ids().collect(),
+            }],
+            chart_of_triangle: vec![ChartId(0); 2],
+            corners_texel,
+        };
+        let mut page = TexturePage::blank(104, 104);
+        for (index, texel) in page.srgb.iter_mut().enumerate() {
+            *texel = [(2 * (index % 104)) as u8, (2 * (index / 104)) as u8, 9];
+        }
+        page.source.fill(TexelSource::keyframe(0));
+        (mesh, layout, AtlasTexture { pages: vec![page] })
+    }
+
+    fn camera() -> PinholeCamera {
+        PinholeCamera::new([100.0, 100.0, 31.5, 23.5], 64, 48).unwrap()
+    }
+
+    #[test]
+    fn colours_are_those_of_the_point_that_the_ray_meets() {
+        for slope in [0.0, 1.2, -1.5] {
+            let (mesh, layout, texture) = square(slope);
+            for supersampling in [1, 2, 3] {
+                let params = RenderParams { supersampling };
+                let pose = RigidTransform::identity();
+                let view =
+                    render_textured(&mesh, &layout, &texture, &camera(), &pose, &params).unwrap();
+                let mut num_seen = 0;
+                for (index, &is_seen) in view.mask.iter().enumerate() {
+                    let ray = camera().ray((index % 64) as f64, (index / 64) as f64);
+                    let depth_m = 2.0 / (1.0 - slope * ray.x);
+                    let (x, y) = (ray.x * depth_m, ray.y * depth_m);
+                    let outline = x.abs().max(y.abs()) - 0.5;
+                    if outline.abs() < 0.03 {
+                        continue;
+                    }
+                    assert_eq!(is_seen, outline < 0.0, "pixel {index}");
+                    let pixel = view.color.pixels()[index];
+                    if !is_seen {
+                        assert_eq!(pixel, [0; 3]);
+                        continue;
+                    }
+                    num_seen += 1;
+                    // Texel centres are at halves: the texel at column c has red 2c.
+                    let expected = [x, y].map(|v| 2.0 * ((v + 0.5) * 100.0 + 2.0 - 0.5));
+                    // Averaging in linear light brightens a ramp a little.
+                    let tolerance = if supersampling == 1 { 0.8 } else { 2.0 };
+                    for (byte, expected) in pixel.iter().zip(expected) {
+                        let error = (f64::from(*byte) - expected).abs();
+                        assert!(error < tolerance, "{pixel:?} for {expected:?} at {index}");
+                    }
+                }
+                assert!(num_seen > 900, "{num_seen}");
+            }
+        }
+    }
+
+    #[test]
+    fn unpainted_texels_are_not_in_the_mask() {
+        let (mesh, layout, mut texture) = square(0.0);
+        for (index, source) in texture.pages[0].source.iter_mut().enumerate() {
+            if index % 104 < 52 {
+                *source = TexelSource::NONE;
+            }
+        }
+        let pose = RigidTransform::identity();
+        let view = render_textured(
+            &mesh,
+            &layout,
+            &texture,
+            &camera(),
+            &pose,
+            &RenderParams::default(),
+        )
+        .unwrap();
+        for (index, &is_seen) in view.mask.iter().enumerate() {
+            let (x, y) = (index % 64, index / 64);
+            let is_inside = (8..56).contains(&x) && (1..47).contains(&y);
+            if is_inside && x != 31 && x != 32 {
+                assert_eq!(is_seen, x > 32, "column {x}, row {y}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_layout_without_pages_shows_nothing() {
+        let (mesh, layout, _) = square(0.0);
+        let view = render_textured(
+            &mesh,
+            &layout,
+            &AtlasTexture::default(),
+            &camera(),
+            &RigidTransform::identity(),
+            &RenderParams::default(),
+        )
+        .unwrap();
+        assert!(view.mask.iter().all(|seen| !seen));
+    }
 }

@@ -256,3 +256,110 @@ pub fn depth_slope_m(
         slope_m
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    /// A wall at z = 3 and a board of 0.4 m in front of it at z = 2.
+    fn scene() -> TriMesh {
+        let quad = |half: f64, z: f64| {
+            [[-half, -half], [half, -half], [half, half], [-half, half]]
+                .map(|[x, y]| Point3::new(x, y, z))
+        };
+        let positions = quad(4.0, 3.0).into_iter().chain(quad(0.2, 2.0)).collect();
+        let triangles = vec![[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]];
+        TriMesh::from_soup(positions, triangles).unwrap().0
+    }
+
+    fn buffer(camera: &PinholeCamera) -> VisibilityBuffer {
+        let mut buffer = VisibilityBuffer::default();
+        let params = VisibilityParams::default();
+        buffer
+            .update(&scene(), camera, &RigidTransform::identity(), &params)
+            .unwrap();
+        buffer
+    }
+
+    fn seen(camera: &PinholeCamera, point: [f64; 3]) -> SurfacePoint {
+        SurfacePoint {
+            position_px: camera.project(&Point3::from(point)).unwrap(),
+            depth_m: point[2],
+            slope_m: 0.0,
+        }
+    }
+
+    #[test]
+    fn the_board_hides_the_wall_behind_it_at_any_image_size() {
+        for (width, height) in [(640, 480), (1920, 1440), (320, 240)] {
+            let (width_px, height_px) = (f64::from(width), f64::from(height));
+            let intrinsics = [width_px, width_px, width_px / 2.0, height_px / 2.0];
+            let camera = PinholeCamera::new(intrinsics, width, height).unwrap();
+            let buffer = buffer(&camera);
+            // The board's shadow on the wall ends at 0.3 m.
+            for (x, is_visible, is_edge) in [
+                (0.0, false, true),
+                (0.27, false, true),
+                (0.31, true, true),
+                (0.5, true, false),
+            ] {
+                let point = seen(&camera, [x, 0.0, 3.0]);
+                assert_eq!(buffer.is_visible(&point), is_visible, "{x} at {width} px");
+                assert_eq!(
+                    buffer.is_near_depth_edge(&point),
+                    is_edge,
+                    "{x} at {width} px"
+                );
+            }
+            let on_board = seen(&camera, [0.0, 0.0, 2.0]);
+            assert!(buffer.is_visible(&on_board) && !buffer.is_near_depth_edge(&on_board));
+            let rim = seen(&camera, [0.197, 0.0, 2.0]);
+            assert!(buffer.is_visible(&rim) && buffer.is_near_depth_edge(&rim));
+            let outside = SurfacePoint {
+                position_px: [-3.0, 5.0],
+                depth_m: 1.0,
+                slope_m: 0.0,
+            };
+            assert!(!buffer.is_visible(&outside));
+        }
+    }
+
+    #[test]
+    fn slope_is_the_change_of_depth_per_pixel() {
+        let camera = PinholeCamera::new([200.0, 200.0, 80.0, 60.0], 160, 120).unwrap();
+        // z = 2 + 0.5 x: depth along a row is 2 / (1 − 0.5 ray_x).
+        let depth_m = |x_px: f64| 2.0 / (1.0 - 0.5 * camera.ray(x_px, 60.0).x);
+        let point = camera.unproject([90.0, 60.0], depth_m(90.0));
+        let slope_m = depth_slope_m(&camera, &point, &Vector3::new(0.5, 0.0, -1.0));
+        let expected = (depth_m(90.5) - depth_m(89.5)).abs();
+        assert!((slope_m - expected).abs() < 1e-6 * expected.max(1.0));
+        assert!(depth_slope_m(&camera, &point, &Vector3::zeros()).is_infinite());
+    }
+
+    proptest! {
+        #[test]
+        fn spreading_takes_the_extreme_over_the_window(
+            values in prop::collection::vec(0.0..9.0f32, 35),
+            margin in 0usize..9,
+        ) {
+            let (width, height) = (7usize, 5usize);
+            for (extreme, start) in [(f32::max as fn(f32, f32) -> f32, 0.0f32), (f32::min, 99.0)] {
+                let mut spread_values = values.clone();
+                spread(&mut spread_values, &mut vec![], [width, height], margin, extreme);
+                for y in 0..height {
+                    for x in 0..width {
+                        let mut expected = start;
+                        for (index, &value) in values.iter().enumerate() {
+                            let (dx, dy) = ((index % width).abs_diff(x), (index / width).abs_diff(y));
+                            if dx <= margin && dy <= margin {
+                                expected = extreme(expected, value);
+                            }
+                        }
+                        prop_assert_eq!(spread_values[y * width + x], expected);
+                    }
+                }
+            }
+        }
+    }
+}

@@ -24,6 +24,7 @@ mod sampler;
 
 use std::sync::Arc;
 
+use nalgebra::Point3;
 use rayon::prelude::*;
 
 use crate::atlas::texels::for_each_texel_within;
@@ -275,11 +276,18 @@ fn triangles_by_frame(label: &[Option<u32>], num_frames: usize) -> Vec<Vec<Trian
 /// What came of looking through one frame.
 struct FrameLook {
     frame: Arc<DecodedFrame>,
-    camera_from_world: crate::geom::RigidTransform,
+    /// Vertices of the mesh in the camera.
+    points_in_camera: Vec<Point3<f64>>,
     /// Drawn only where a mean needs it.
     visibility: Option<VisibilityBuffer>,
     /// Per page.
     painted: Vec<Vec<Painted>>,
+}
+
+/// Corners of a triangle among its mesh's transformed vertices.
+fn corners_of(mesh: &TriMesh, points: &[Point3<f64>], triangle: TriangleId) -> [Point3<f64>; 3] {
+    let [a, b, c] = mesh.triangles()[triangle.index()].map(|v| v as usize);
+    [points[a], points[b], points[c]]
 }
 
 struct Painter<'a> {
@@ -305,8 +313,9 @@ impl Painter<'_> {
         }
         let frame = decode().map_err(|error| error.to_string())?;
         let camera_from_world = pose.world_from_camera.inverse();
+        let points_in_camera = camera_from_world.transform_points(self.mesh.positions_m());
         let mut visibility = None;
-        if means.any_in_view(self.mesh, &frame.color_camera, &camera_from_world) {
+        if means.any_in_view(self.mesh, &frame.color_camera, &points_in_camera) {
             let mut buffer = VisibilityBuffer::default();
             buffer
                 .update(
@@ -321,9 +330,7 @@ impl Painter<'_> {
         let mut painted = vec![vec![]; self.layout.num_pages as usize];
         for &triangle in triangles {
             let sampler = TriangleSampler::new(
-                self.mesh
-                    .corners_m(triangle)
-                    .map(|p| camera_from_world.transform_point(&p)),
+                corners_of(self.mesh, &points_in_camera, triangle),
                 &self.layout.corners_texel[triangle.index()],
                 &frame.color_camera,
                 self.params.max_samples,
@@ -337,7 +344,7 @@ impl Painter<'_> {
         }
         Ok(Some(FrameLook {
             frame,
-            camera_from_world,
+            points_in_camera,
             visibility,
             painted,
         }))
@@ -390,9 +397,9 @@ fn scatter(painted: &[Vec<Painted>], source: TexelSource, pages: &mut [TexturePa
 mod tests {
     use super::*;
     use crate::geom::color::{linear_from_srgb, srgb_from_linear};
+    use crate::render::{RenderParams, render_textured};
     use crate::texinit::analytic_scene::{Panel, Scene, grey, red, waves};
     use crate::texinit::assign::{AssignParams, assign_poses};
-    use nalgebra::Point3;
     use proptest::prelude::*;
 
     const WALL: Panel = Panel {
@@ -628,6 +635,137 @@ mod tests {
         assert_eq!(num_red, 0);
         assert!(num_mean > 300, "{num_mean}");
         assert_eq!(report.num_mean, num_mean);
+    }
+
+    #[test]
+    fn a_new_view_of_the_painted_scene_looks_like_its_photo() {
+        let mut scene = slanted_views(vec![WALL], true);
+        let layout = scene.layout(80.0);
+        let (_, page, _) = paint(
+            &scene,
+            &layout,
+            &AssignParams::default(),
+            &TransferParams::default(),
+        );
+        let texture = AtlasTexture { pages: vec![page] };
+        scene.photograph([-0.2, 0.15, 0.5], 0.15, &[], true);
+        let photo = scene.frames[3].clone();
+        let camera_from_world = scene.poses[3].world_from_camera.inverse();
+        for supersampling in [1, 2] {
+            let params = RenderParams { supersampling };
+            let view = render_textured(
+                &scene.mesh(),
+                &layout,
+                &texture,
+                &photo.color_camera,
+                &camera_from_world,
+                &params,
+            )
+            .unwrap();
+            let depths = photo.depth.as_ref().unwrap().image.depths_m();
+            let (mut num_compared, mut num_differing_in_mask) = (0, 0);
+            for (index, &is_seen) in view.mask.iter().enumerate() {
+                num_differing_in_mask += usize::from(is_seen != (depths[index] > 0.0));
+                if is_seen && depths[index] > 0.0 {
+                    num_compared += 1;
+                    let (seen, expected) =
+                        (view.color.pixels()[index], photo.color.pixels()[index]);
+                    for (a, b) in seen.iter().zip(expected) {
+                        assert!(
+                            a.abs_diff(b) <= 5,
+                            "{seen:?} for {expected:?} at pixel {index}"
+                        );
+                    }
+                }
+            }
+            assert!(num_compared > 9000, "{num_compared}");
+            // The outline, and texels there that no frame holds.
+            assert!(num_differing_in_mask < 400, "{num_differing_in_mask}");
+        }
+    }
+
+    #[test]
+    fn keyframes_give_what_their_decoded_frames_give() {
+        use crate::geom::{CameraModel, ColorEncoding, EncodedColor, Stamp};
+        use crate::keyframe::KeyframeId;
+
+        let scene = slanted_views(vec![WALL], false);
+        let (mesh, layout) = (scene.mesh(), scene.layout(40.0));
+        let keyframes: Vec<Arc<Keyframe>> = scene
+            .poses
+            .iter()
+            .zip(&scene.frames)
+            .map(|(pose, frame)| {
+                let bytes: Vec<u8> = frame.color.pixels().iter().flatten().copied().collect();
+                let color =
+                    EncodedColor::from_raw(ColorEncoding::Rgb8, 160, 120, 480, bytes.into());
+                Arc::new(Keyframe {
+                    id: KeyframeId(pose.id),
+                    stamp: Stamp::default(),
+                    world_from_camera: pose.world_from_camera,
+                    color: color.unwrap(),
+                    color_camera: CameraModel::ideal(frame.color_camera),
+                    depth: None,
+                    quality: pose.quality,
+                })
+            })
+            .collect();
+        let decode = |keyframe: &Keyframe| {
+            Ok(Arc::new(DecodedFrame {
+                color: keyframe.color.decode()?,
+                color_camera: keyframe.color_camera.pinhole,
+                depth: None,
+            }))
+        };
+        let (assign_params, params) = (AssignParams::default(), TransferParams::default());
+        let assignment =
+            crate::texinit::assign::assign(&mesh, &keyframes, &decode, &assign_params, &|_| ())
+                .unwrap();
+        let (texture, _) = transfer(
+            &mesh,
+            &layout,
+            &assignment,
+            &keyframes,
+            &decode,
+            &params,
+            &|_| (),
+        )
+        .unwrap();
+        let (expected_assignment, expected_page, _) =
+            paint(&scene, &layout, &assign_params, &params);
+        assert_eq!(assignment, expected_assignment);
+        assert_eq!(texture.pages, [expected_page]);
+    }
+
+    #[test]
+    fn a_wall_that_reaches_behind_the_camera_is_painted_by_the_mean() {
+        let wall = Panel {
+            min: [-50.0, -0.7],
+            max: [50.0, 0.7],
+            cells: [1, 1],
+            ..WALL
+        };
+        let mut scene = Scene {
+            panels: vec![wall],
+            ..Scene::default()
+        };
+        // Looking along the wall: its far end is in view, its near end behind the camera.
+        scene.photograph([0.0, 0.0, 2.0], 1.2, &[], false);
+        let mut layout = scene.layout(4.0);
+        layout.texels_per_m = 4.0;
+        let (assignment, page, report) = paint(
+            &scene,
+            &layout,
+            &AssignParams::default(),
+            &TransferParams::default(),
+        );
+        assert!(assignment.label.iter().all(Option::is_none));
+        assert!(report.num_mean > 20, "{report:?}");
+        for_each_wall_texel(&scene, &layout, |_, index, point| {
+            if page.source[index] == TexelSource::MEAN {
+                assert!(point.x > 0.0);
+            }
+        });
     }
 
     #[test]

@@ -22,7 +22,7 @@ pub struct PairwiseParams {
 impl Default for PairwiseParams {
     fn default() -> Self {
         Self {
-            weight: 0.15,
+            weight: 1.0,
             num_candidates: 8,
             num_sweeps: 10,
         }

@@ -1,16 +1,17 @@
 //! Texels that show a mean over frames: exact sums in linear light.
 
+use nalgebra::Point3;
 use rayon::prelude::*;
 
 use crate::atlas::texels::for_each_texel_within;
 use crate::atlas::{AtlasLayout, TexelSource, TexturePage};
+use crate::geom::PinholeCamera;
 use crate::geom::color::srgb_from_linear;
-use crate::geom::{PinholeCamera, RigidTransform};
 use crate::mesh::{TriMesh, TriangleId};
 use crate::texinit::assign::validity::{DepthProbe, depth_difference_m};
 
 use super::sampler::TriangleSampler;
-use super::{FrameLook, MEAN_CONFIDENCE, TransferParams};
+use super::{FrameLook, MEAN_CONFIDENCE, TransferParams, corners_of};
 
 /// Triangles that one task works on.
 const TASK_SIZE: usize = 256;
@@ -41,7 +42,7 @@ impl LinearSum {
         if self.weight + weight <= MAX_WEIGHT {
             self.weight += weight;
             for (sum, value) in self.sum.iter_mut().zip(linear) {
-                *sum += weight * (value.clamp(0.0, 1.0) * STEPS).round() as u32;
+                *sum += weight * (value.clamp(0.0, 1.0) * STEPS + 0.5) as u32;
             }
         }
     }
@@ -87,12 +88,10 @@ impl MeanTexels {
         &self,
         mesh: &TriMesh,
         camera: &PinholeCamera,
-        camera_from_world: &RigidTransform,
+        points_in_camera: &[Point3<f64>],
     ) -> bool {
         self.triangles.iter().any(|&triangle| {
-            let corners = mesh
-                .corners_m(triangle)
-                .map(|p| camera_from_world.transform_point(&p));
+            let corners = corners_of(mesh, points_in_camera, triangle);
             may_see(camera, &corners)
         })
     }
@@ -153,17 +152,20 @@ impl MeanTexels {
     }
 }
 
-/// Whether the triangle is in front of the camera and its box in the image meets the image.
-fn may_see(camera: &PinholeCamera, corners_in_camera: &[nalgebra::Point3<f64>; 3]) -> bool {
-    let [Some(a), Some(b), Some(c)] = corners_in_camera.map(|p| camera.project(&p)) else {
-        return false;
-    };
-    let sides = [camera.width(), camera.height()];
-    (0..2).all(|axis| {
-        let low = a[axis].min(b[axis]).min(c[axis]);
-        let high = a[axis].max(b[axis]).max(c[axis]);
-        high >= 0.0 && low <= f64::from(sides[axis] - 1)
-    })
+/// Whether some of the triangle may be in the image: its corners are not all outside of one side
+/// of the view. The half-spaces go through the camera, so they hold behind it too.
+fn may_see(camera: &PinholeCamera, corners_in_camera: &[Point3<f64>; 3]) -> bool {
+    let [fx, fy, cx, cy] = camera.intrinsics_px();
+    let (max_x, max_y) = (
+        f64::from(camera.width() - 1),
+        f64::from(camera.height() - 1),
+    );
+    let all = |is_outside: &dyn Fn(&Point3<f64>) -> bool| corners_in_camera.iter().all(is_outside);
+    !all(&|p| p.z <= 0.0)
+        && !all(&|p| fx * p.x + cx * p.z < 0.0)
+        && !all(&|p| fx * p.x + (cx - max_x) * p.z > 0.0)
+        && !all(&|p| fy * p.y + cy * p.z < 0.0)
+        && !all(&|p| fy * p.y + (cy - max_y) * p.z > 0.0)
 }
 
 fn add_triangle(
@@ -178,9 +180,7 @@ fn add_triangle(
         return;
     };
     let camera = &look.frame.color_camera;
-    let corners = mesh
-        .corners_m(triangle)
-        .map(|p| look.camera_from_world.transform_point(&p));
+    let corners = corners_of(mesh, &look.points_in_camera, triangle);
     if !may_see(camera, &corners) {
         return;
     }
@@ -194,7 +194,7 @@ fn add_triangle(
     for_each_texel_within(corners_texel, layout.page_size_texel, |_, _, weights| {
         let Some(sum) = sums.next() else { return };
         let texel = sampler.at(weights);
-        let Some(point) = texel.surface_point().filter(|_| texel.is_inside()) else {
+        let Some(point) = texel.point_inside() else {
             return;
         };
         let position = camera.unproject(point.position_px, point.depth_m);

@@ -4,7 +4,7 @@ use std::sync::LazyLock;
 
 use nalgebra::{Point3, Vector3};
 
-use crate::geom::color::{linear_from_srgb, srgb_from_linear};
+use crate::geom::color::{linear_table, srgb_from_linear};
 use crate::geom::{ColorImage, PinholeCamera};
 use crate::render::SurfacePoint;
 use crate::render::visibility::depth_slope_m;
@@ -23,7 +23,7 @@ pub(super) struct TriangleSampler {
 }
 
 impl TriangleSampler {
-    /// `None` for a triangle without area on its page, or with a corner behind the camera.
+    /// `None` for a triangle without area on its page, or wholly behind the camera.
     #[expect(
         clippy::cast_possible_truncation,
         clippy::cast_sign_loss,
@@ -47,7 +47,7 @@ impl TriangleSampler {
             (along_v * u[0] - along_u * v[0]) / area2_texel,
         ];
         let is_usable = area2_texel != 0.0
-            && corners.iter().all(|h| h.z > 0.0)
+            && corners.iter().any(|h| h.z > 0.0)
             && per_texel.iter().flatten().all(|value| value.is_finite());
         if !is_usable {
             return None;
@@ -60,9 +60,14 @@ impl TriangleSampler {
         });
         let reach = max_samples.clamp(1, 16);
         let num_samples = pixels.map(|[x, y]| {
-            let footprint_px = x.hypot(y);
+            let footprint_px = (x * x + y * y).sqrt();
             // A quarter of a pixel more than one sample's reach is not worth a second sample.
-            ((footprint_px - 0.25).ceil() as u32).clamp(1, reach)
+            // Towards the camera's plane it grows without bound, and says nothing.
+            if center.z > 0.0 {
+                ((footprint_px - 0.25).ceil() as u32).clamp(1, reach)
+            } else {
+                1
+            }
         });
         let area_px2 = (pixels[0][0] * pixels[1][1] - pixels[0][1] * pixels[1][0]).abs();
         let [p, q, r] = corners_in_camera;
@@ -123,10 +128,10 @@ impl TexelSampler<'_> {
         })
     }
 
-    /// Whether the image has a colour for the texel's centre.
-    pub(super) fn is_inside(&self) -> bool {
+    /// The same where the image has a colour for it.
+    pub(super) fn point_inside(&self) -> Option<SurfacePoint> {
         let [max_x, max_y] = self.triangle.max_px;
-        self.surface_point().is_some_and(|point| {
+        self.surface_point().filter(|point| {
             let [x, y] = point.position_px;
             x >= 0.0 && y >= 0.0 && x <= max_x && y <= max_y
         })
@@ -135,15 +140,20 @@ impl TexelSampler<'_> {
     /// sRGB of the texel; `None` behind the camera. Lookups are clamped to the image.
     pub(super) fn color(&self, image: &ColorImage) -> Option<[u8; 3]> {
         if self.triangle.num_samples == [1, 1] {
-            return Some(sample(image, &self.center)?.map(round_byte));
+            return (self.center.z > 0.0).then(|| sample_srgb(image, &self.center));
         }
-        self.linear_color(image)
-            .map(|linear| linear.map(srgb_from_linear_fast))
+        let [r, g, b] = self.linear_color(image)?;
+        Some([
+            srgb_from_linear_fast(r),
+            srgb_from_linear_fast(g),
+            srgb_from_linear_fast(b),
+        ])
     }
 
     /// Linear light in [0, 1], averaged over the texel's footprint.
     pub(super) fn linear_color(&self, image: &ColorImage) -> Option<[f32; 3]> {
         let [columns, rows] = self.triangle.num_samples;
+        let table = linear_table();
         let mut sum = [0.0f32; 3];
         let mut num = 0u16;
         let offset = |i: u32, n: u32| (f64::from(i) + 0.5) / f64::from(n) - 0.5;
@@ -154,7 +164,7 @@ impl TexelSampler<'_> {
                     + self.triangle.per_texel[1] * offset(j, rows);
                 if h.z > 0.0 {
                     num += 1;
-                    let linear = sample_linear(image, [h.x / h.z, h.y / h.z]);
+                    let linear = sample_linear(image, table, &h);
                     for (sum, value) in sum.iter_mut().zip(linear) {
                         *sum += value;
                     }
@@ -166,29 +176,53 @@ impl TexelSampler<'_> {
 }
 
 /// Bilinear sample in linear light; averages of sRGB samples would be too dark at edges.
+fn sample_linear(image: &ColorImage, table: &[f32; 256], h: &Vector3<f64>) -> [f32; 3] {
+    let (pixels, fx, fy) = footprint(image, h);
+    let mut color = [0.0f32; 3];
+    for (c, value) in color.iter_mut().enumerate() {
+        let light = |i: usize| table[usize::from(pixels[i][c])];
+        let top = light(0) + fx * (light(1) - light(0));
+        let bottom = light(2) + fx * (light(3) - light(2));
+        *value = top + fy * (bottom - top);
+    }
+    color
+}
+
+/// Bilinear sample in sRGB.
+fn sample_srgb(image: &ColorImage, h: &Vector3<f64>) -> [u8; 3] {
+    let (pixels, fx, fy) = footprint(image, h);
+    let mut color = [0u8; 3];
+    for (c, byte) in color.iter_mut().enumerate() {
+        let value = |i: usize| f32::from(pixels[i][c]);
+        let top = value(0) + fx * (value(1) - value(0));
+        let bottom = value(2) + fx * (value(3) - value(2));
+        *byte = round_byte(top + fy * (bottom - top));
+    }
+    color
+}
+
+/// The four pixels around a position, clamped to the image, and the position among them.
 #[expect(
     clippy::cast_possible_truncation,
     clippy::cast_sign_loss,
     reason = "clamped to the image before the casts"
 )]
-fn sample_linear(image: &ColorImage, [x_px, y_px]: [f64; 2]) -> [f32; 3] {
-    let x_px = x_px.clamp(0.0, f64::from(image.width() - 1));
-    let y_px = y_px.clamp(0.0, f64::from(image.height() - 1));
+fn footprint(image: &ColorImage, h: &Vector3<f64>) -> ([[u8; 3]; 4], f32, f32) {
+    let (max_x, max_y) = (image.width() - 1, image.height() - 1);
+    let x_px = ((h.x / h.z) as f32).max(0.0).min(max_x as f32);
+    let y_px = ((h.y / h.z) as f32).max(0.0).min(max_y as f32);
     let (x, y) = (x_px as u32, y_px as u32);
-    let (fx, fy) = ((x_px - f64::from(x)) as f32, (y_px - f64::from(y)) as f32);
-    let pixels = [(x, y), (x + 1, y), (x, y + 1), (x + 1, y + 1)]
-        .map(|(x, y)| image.pixel_clamped(x, y).map(linear_from_srgb));
-    std::array::from_fn(|c| {
-        let top = pixels[0][c] + fx * (pixels[1][c] - pixels[0][c]);
-        let bottom = pixels[2][c] + fx * (pixels[3][c] - pixels[2][c]);
-        top + fy * (bottom - top)
-    })
-}
-
-fn sample(image: &ColorImage, h: &Vector3<f64>) -> Option<[f32; 3]> {
-    #[expect(clippy::cast_possible_truncation, reason = "rounding to f32 is meant")]
-    let position_px = [(h.x / h.z) as f32, (h.y / h.z) as f32];
-    (h.z > 0.0).then(|| image.sample_bilinear(position_px))
+    let (left, right) = (x.min(max_x) as usize, (x + 1).min(max_x) as usize);
+    let width = image.width() as usize;
+    let rows = [y.min(max_y), (y + 1).min(max_y)].map(|row| row as usize * width);
+    let pixels = image.pixels();
+    let around = [
+        pixels[rows[0] + left],
+        pixels[rows[0] + right],
+        pixels[rows[1] + left],
+        pixels[rows[1] + right],
+    ];
+    (around, x_px - x as f32, y_px - y as f32)
 }
 
 #[expect(
@@ -215,6 +249,6 @@ static SRGB_FROM_LINEAR: LazyLock<Vec<u8>> = LazyLock::new(|| {
     reason = "clamped to the table before the cast"
 )]
 fn srgb_from_linear_fast(linear: f32) -> u8 {
-    let step = (linear.clamp(0.0, 1.0) * f32::from(NUM_LINEAR_STEPS)).round() as usize;
+    let step = (linear.clamp(0.0, 1.0) * f32::from(NUM_LINEAR_STEPS) + 0.5) as usize;
     SRGB_FROM_LINEAR.get(step).copied().unwrap_or(0)
 }
