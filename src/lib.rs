@@ -14,6 +14,14 @@
 //! forward); transforms are named `dst_from_src`; image pixel centres are at integers, texel
 //! centres at halves. See `ARCHITECTURE.md` for who may import whom.
 
+#![cfg_attr(
+    test,
+    allow(
+        clippy::cast_possible_truncation,
+        reason = "tests make their data of small numbers; the product is checked without cfg(test)"
+    )
+)]
+
 pub mod atlas;
 #[cfg(feature = "bag")]
 pub mod bag;

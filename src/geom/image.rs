@@ -257,7 +257,9 @@ mod tests {
 
     #[test]
     fn reducing_averages_whole_blocks() {
-        let pixels = (0..20).map(|i| [if i % 5 < 2 { 80 } else { 200 }; 3]).collect();
+        let pixels = (0..20)
+            .map(|i| [if i % 5 < 2 { 80 } else { 200 }; 3])
+            .collect();
         let image = ColorImage::new(5, 4, pixels).unwrap();
         let half = image.reduced(2);
         assert_eq!((half.width(), half.height()), (2, 2));

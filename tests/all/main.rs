@@ -5,7 +5,6 @@
     reason = "a test fails by panicking, helpers included"
 )]
 #![expect(
-    clippy::print_stdout,
     clippy::print_stderr,
     reason = "a test whose oracle cannot be reached says SKIPPED"
 )]
@@ -19,7 +18,5 @@ mod import;
 mod python;
 mod replay;
 mod report;
-mod textured_room;
-mod import;
-mod python;
 mod synth;
+mod textured_room;

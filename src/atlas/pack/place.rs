@@ -81,7 +81,9 @@ pub(super) fn place(rects: &[[u32; 2]], max_side_texel: u32, max_texels: u64) ->
 )]
 fn single_page_sizes(area: u64, max_side_texel: u32) -> impl Iterator<Item = [u32; 2]> {
     let first_side = (area as f64).sqrt() as u32 / SIDE_STEP_TEXEL * SIDE_STEP_TEXEL;
-    let step = (first_side / 32).next_multiple_of(SIDE_STEP_TEXEL).max(SIDE_STEP_TEXEL);
+    let step = (first_side / 32)
+        .next_multiple_of(SIDE_STEP_TEXEL)
+        .max(SIDE_STEP_TEXEL);
     let sides = (first_side.max(SIDE_STEP_TEXEL)..max_side_texel)
         .step_by(step as usize)
         .chain([max_side_texel]);

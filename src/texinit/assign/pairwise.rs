@@ -362,7 +362,10 @@ mod tests {
         unary + f64::from(weight) * equal as f64
     }
 
-    fn problem() -> impl Strategy<Value = (Vec<Vec<(u32, f32)>>, Vec<[u32; 2]>, f32)> {
+    /// Offers per triangle, adjacent pairs, and the reward of a pair.
+    type Problem = (Vec<Vec<(u32, f32)>>, Vec<[u32; 2]>, f32);
+
+    fn problem() -> impl Strategy<Value = Problem> {
         let offers = prop::collection::vec(
             prop::collection::btree_map(0u32..4, -1.0..1.0f32, 0..4),
             2..7,
