@@ -26,6 +26,7 @@ mod record;
 mod scene;
 mod score;
 mod sensor;
+mod sight;
 mod surface;
 mod tessellate;
 mod texture;
@@ -37,4 +38,5 @@ pub use options::{
 };
 pub use record::{SynthSummary, synthesize};
 pub use score::{Percentiles, Score, SurfaceScore, score};
+pub use sight::PaintingView;
 pub use truth::{GroundTruth, METADATA_NAME, TOLERANCE_M};

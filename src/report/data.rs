@@ -259,6 +259,8 @@ pub struct ViewScore {
 pub struct SyntheticScore {
     /// Texels compared: those that some frame saw.
     pub num_texels: u64,
+    /// Texels painted although no camera truly sees the surface there; not compared.
+    pub num_hidden_texels: u64,
     /// Mean absolute difference of a channel, 0–255.
     pub mean_abs: f64,
     /// A tenth of the texels is further off than this, 0–255.

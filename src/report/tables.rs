@@ -156,6 +156,7 @@ pub(super) fn result(report: &Report) -> String {
     if let Some(score) = &report.synthetic {
         let rows = [
             pair("texels compared", grouped(score.num_texels)),
+            pair("painted, truly hidden", grouped(score.num_hidden_texels)),
             pair(
                 "mean absolute error",
                 format!("{:.2} / 255", score.mean_abs),

@@ -1,13 +1,14 @@
 //! How far a painted atlas is from the truth, texel by texel.
 
-use nalgebra::{Point3, Vector3};
+use nalgebra::Point3;
 use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::atlas::{AtlasLayout, AtlasTexture, TexturePage};
 use crate::mesh::{TriMesh, TriangleId};
 
-use super::truth::GroundTruth;
+use super::sight::{PaintingView, Sight};
+use super::truth::{GroundTruth, Match};
 
 /// Errors of a texture against the truth. Errors are absolute differences of sRGB values on the
 /// scale 0–255, the mean over the three channels of each texel.
@@ -15,6 +16,9 @@ use super::truth::GroundTruth;
 pub struct Score {
     /// Texels that a keyframe painted and that have a true colour: all errors are over these.
     pub num_seen_texels: u64,
+    /// Texels that a keyframe painted although no camera sees the true surface there: it lies
+    /// against another, nearer than any scan could tell. They are in no error.
+    pub num_hidden_texels: u64,
     /// Texels that a keyframe painted where no surface of the scene is (ghost walls, noise).
     pub num_unmatched_texels: u64,
     /// Texels whose centre a triangle covers, whoever painted them.
@@ -64,6 +68,7 @@ const CHUNK_TRIANGLES: usize = 1024;
 
 #[derive(Clone)]
 struct Tally {
+    num_hidden: u64,
     num_unmatched: u64,
     num_covered: u64,
     abs_sum: f64,
@@ -75,7 +80,8 @@ struct Tally {
     surfaces: Vec<(u64, f64)>,
 }
 
-/// Compares each texel that a keyframe painted with the truth at the texel's own size. The mesh,
+/// Compares each texel that a keyframe painted, and some view truly shows, with the truth at the
+/// texel's own size; without `views`, every painted texel counts. The mesh,
 /// in the frame of the recording, is the one that `layout` places; a texel on the common edge of
 /// two triangles counts for both.
 pub fn score(
@@ -83,7 +89,9 @@ pub fn score(
     layout: &AtlasLayout,
     texture: &AtlasTexture,
     truth: &GroundTruth,
+    views: &[PaintingView],
 ) -> Score {
+    let sight = Sight::new(&truth.scene.surfaces, views);
     let num_surfaces = truth.scene.surfaces.len();
     let triangles: Vec<TriangleId> = mesh.triangle_ids().collect();
     let tallies: Vec<Tally> = triangles
@@ -91,7 +99,7 @@ pub fn score(
         .map(|chunk| {
             let mut tally = Tally::new(num_surfaces);
             for &triangle in chunk {
-                tally.add_triangle(triangle, mesh, layout, texture, truth);
+                tally.add_triangle(triangle, mesh, layout, texture, truth, &sight);
             }
             tally
         })
@@ -106,6 +114,7 @@ pub fn score(
 impl Tally {
     fn new(num_surfaces: usize) -> Self {
         Self {
+            num_hidden: 0,
             num_unmatched: 0,
             num_covered: 0,
             abs_sum: 0.0,
@@ -124,6 +133,7 @@ impl Tally {
         layout: &AtlasLayout,
         texture: &AtlasTexture,
         truth: &GroundTruth,
+        sight: &Sight,
     ) {
         let area_m2 = mesh.area_m2(triangle);
         self.area_m2 += area_m2;
@@ -144,13 +154,21 @@ impl Tally {
         let (mut num_covered, mut num_seen) = (0u32, 0u32);
         for_each_covered(corners, page, |at, [a, b, c]| {
             num_covered += 1;
-            if page.source[at].as_keyframe().is_none() {
+            let Some(painter) = page.source[at].as_keyframe() else {
                 return;
-            }
+            };
             num_seen += 1;
             let point =
                 Point3::from(points[0].coords * a + points[1].coords * b + points[2].coords * c);
-            self.add_texel(page.srgb[at], &point, &normal, footprint_m, truth);
+            let Some(found) = truth.find(&point, &normal) else {
+                self.num_unmatched += 1;
+                return;
+            };
+            if sight.is_seen(&truth.point_of(found), painter) {
+                self.add_texel(page.srgb[at], found, footprint_m, truth);
+            } else {
+                self.num_hidden += 1;
+            }
         });
         self.num_covered += u64::from(num_covered);
         if num_covered > 0 {
@@ -158,18 +176,7 @@ impl Tally {
         }
     }
 
-    fn add_texel(
-        &mut self,
-        srgb: [u8; 3],
-        point: &Point3<f64>,
-        normal: &Vector3<f64>,
-        footprint_m: f64,
-        truth: &GroundTruth,
-    ) {
-        let Some(found) = truth.find(point, normal) else {
-            self.num_unmatched += 1;
-            return;
-        };
+    fn add_texel(&mut self, srgb: [u8; 3], found: Match, footprint_m: f64, truth: &GroundTruth) {
         let expected = truth.srgb_at(found, footprint_m);
         let differences: [f64; 3] =
             std::array::from_fn(|k| f64::from(srgb[k]) - f64::from(expected[k]));
@@ -189,6 +196,7 @@ impl Tally {
     }
 
     fn merge(&mut self, other: &Self) {
+        self.num_hidden += other.num_hidden;
         self.num_unmatched += other.num_unmatched;
         self.num_covered += other.num_covered;
         self.abs_sum += other.abs_sum;
@@ -227,6 +235,7 @@ impl Tally {
         });
         Score {
             num_seen_texels,
+            num_hidden_texels: self.num_hidden,
             num_unmatched_texels: self.num_unmatched,
             num_covered_texels: self.num_covered,
             mean_abs_error_255: self.abs_sum * per_texel,

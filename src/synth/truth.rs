@@ -144,6 +144,15 @@ impl GroundTruth {
         best.map(|(_, found)| found)
     }
 
+    /// The point of a match on its true surface, world frame, metres.
+    pub(super) fn point_of(&self, found: Match) -> Point3<f64> {
+        let surface = &self.scene.surfaces[found.surface];
+        let local = surface.shape.point_at(found.uv_m);
+        surface
+            .world_from_local
+            .transform_point(&Point3::from(local))
+    }
+
     pub(super) fn srgb_at(&self, found: Match, footprint_m: f64) -> [f32; 3] {
         let surface = &self.scene.surfaces[found.surface];
         surface.average(found.uv_m, footprint_m).map(srgb_255)

@@ -35,7 +35,8 @@ fn num_texels(size: [u32; 2]) -> u64 {
 /// Sides of a single page are multiples of this.
 const SIDE_STEP_TEXEL: u32 = 64;
 
-/// The smallest placement found: one page, nearly square, where that holds everything, else as many full or half pages as it takes. Nothing when
+/// The smallest placement found: one page, nearly square, where that holds everything, else as
+/// many pages of full width as it takes. Nothing when
 /// `max_texels` do not hold it. Each rectangle is at most `max_side_texel` wide and high.
 pub(super) fn place(rects: &[[u32; 2]], max_side_texel: u32, max_texels: u64) -> Option<Placement> {
     let area: u64 = rects.iter().map(|&rect| num_texels(rect)).sum();
@@ -57,9 +58,7 @@ pub(super) fn place(rects: &[[u32; 2]], max_side_texel: u32, max_texels: u64) ->
             return Some(placement);
         }
     }
-    let full = [max_side_texel; 2];
-    let half = [max_side_texel, max_side_texel / 2];
-    [full, half]
+    several_page_sizes(area, max_side_texel)
         .into_iter()
         .filter(|size| size[1] >= largest[1])
         .flat_map(|size| orders.iter().map(move |order| (size, order)))
@@ -91,6 +90,29 @@ fn single_page_sizes(area: u64, max_side_texel: u32) -> impl Iterator<Item = [u3
         let wide = [side, side.saturating_sub(step).max(SIDE_STEP_TEXEL)];
         [wide, [side, side]]
     })
+}
+
+/// Heights at which two, three or four pages of full width would hold `area` with little to
+/// spare, and the full page.
+fn several_page_sizes(area: u64, max_side_texel: u32) -> Vec<[u32; 2]> {
+    /// Shares of a page that placement fills.
+    const FILLS: [f64; 3] = [0.97, 0.94, 0.9];
+    let width = max_side_texel;
+    let mut heights: Vec<u32> = (2..=4u32)
+        .flat_map(|num_pages| FILLS.map(|fill| (num_pages, fill)))
+        .filter_map(|(num_pages, fill)| {
+            let height = area as f64 / (f64::from(num_pages) * fill * f64::from(width));
+            #[expect(
+                clippy::cast_possible_truncation,
+                clippy::cast_sign_loss,
+                reason = "saturates, and is filtered"
+            )]
+            let height = (height.ceil() as u32).checked_next_multiple_of(SIDE_STEP_TEXEL)?;
+            (height < max_side_texel).then_some(height)
+        })
+        .collect();
+    heights.push(max_side_texel);
+    heights.into_iter().map(|height| [width, height]).collect()
 }
 
 fn from_the_largest(rects: &[[u32; 2]], size_of: fn([u32; 2]) -> u64) -> Vec<usize> {

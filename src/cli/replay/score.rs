@@ -5,7 +5,7 @@ use std::path::Path;
 use crate::bag;
 use crate::pipeline::Run;
 use crate::report::SyntheticScore;
-use crate::synth::{self, GroundTruth};
+use crate::synth::{self, GroundTruth, PaintingView};
 
 /// Surfaces whose error goes to the log, the largest total error first.
 const NUM_WORST_SURFACES: usize = 12;
@@ -19,7 +19,17 @@ pub(super) fn against_truth(bag: &Path, run: &Run) -> anyhow::Result<Option<Synt
         return Ok(None);
     };
     let truth = GroundTruth::from_metadata(&description)?;
-    let score = synth::score(&run.mesh, &run.texinit.layout, &run.texinit.texture, &truth);
+    let views: Vec<PaintingView> = run
+        .keyframes
+        .iter()
+        .map(|keyframe| PaintingView {
+            keyframe: keyframe.id.0,
+            world_from_camera: keyframe.world_from_camera,
+            camera: keyframe.color_camera.pinhole,
+        })
+        .collect();
+    let (layout, texture) = (&run.texinit.layout, &run.texinit.texture);
+    let score = synth::score(&run.mesh, layout, texture, &truth, &views);
     for surface in score.surfaces.iter().take(NUM_WORST_SURFACES) {
         tracing::info!(
             surface = surface.name,
@@ -30,6 +40,7 @@ pub(super) fn against_truth(bag: &Path, run: &Run) -> anyhow::Result<Option<Synt
     }
     Ok(Some(SyntheticScore {
         num_texels: score.num_seen_texels,
+        num_hidden_texels: score.num_hidden_texels,
         mean_abs: score.mean_abs_error_255,
         p90_abs: score.percentiles_255.p90,
         covered_share: score.seen_area_share,

@@ -345,7 +345,7 @@ fn metadata_rebuilds_the_truth() {
 #[test]
 fn the_truth_scores_itself_without_error() {
     let (mesh, layout, mut texture) = TABLETOP.atlas(250.0).unwrap();
-    let own = score(&mesh, &layout, &texture, &TABLETOP);
+    let own = score(&mesh, &layout, &texture, &TABLETOP, &[]);
     // Bytes are rounded: 0.25 on average. Facets of round things differ a little.
     assert!(own.mean_abs_error_255 < 0.6, "{own:?}");
     assert!(own.percentiles_255.p50 <= 0.5, "{:?}", own.percentiles_255);
@@ -356,7 +356,7 @@ fn the_truth_scores_itself_without_error() {
             *srgb = srgb.map(|c| c.saturating_add(10));
         }
     }
-    let brighter = score(&mesh, &layout, &texture, &TABLETOP);
+    let brighter = score(&mesh, &layout, &texture, &TABLETOP, &[]);
     let gained = brighter.mean_abs_error_255 - own.mean_abs_error_255;
     assert!((8.5..=10.0).contains(&gained), "{gained}");
 }
