@@ -321,6 +321,10 @@ impl Neighbours {
 }
 
 #[cfg(test)]
+#[expect(
+    clippy::cast_possible_truncation,
+    reason = "the numbers of a test are small"
+)]
 mod tests {
     use super::*;
     use nalgebra::Point3;
@@ -362,7 +366,10 @@ mod tests {
         unary + f64::from(weight) * equal as f64
     }
 
-    fn problem() -> impl Strategy<Value = (Vec<Vec<(u32, f32)>>, Vec<[u32; 2]>, f32)> {
+    /// Offers per triangle, adjacent pairs, weight.
+    type Problem = (Vec<Vec<(u32, f32)>>, Vec<[u32; 2]>, f32);
+
+    fn problem() -> impl Strategy<Value = Problem> {
         let offers = prop::collection::vec(
             prop::collection::btree_map(0u32..4, -1.0..1.0f32, 0..4),
             2..7,
