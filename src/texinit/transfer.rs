@@ -185,16 +185,18 @@ pub(crate) fn transfer_poses(
     };
     let mut means = MeanTexels::new(layout, mesh.triangle_ids().filter(needs_mean));
 
+    let mut buffers = vec![VisibilityBuffer::default(); GROUP_SIZE];
     let groups = frames.chunks(GROUP_SIZE).zip(by_frame.chunks(GROUP_SIZE));
     for (group_index, (group, group_triangles)) in groups.enumerate() {
         let first = group_index * GROUP_SIZE;
-        let looks: Vec<Result<Option<FrameLook>, FailedFrame>> = group
+        let looks: Vec<Result<Option<FrameLook<'_>>, FailedFrame>> = group
             .par_iter()
             .zip(group_triangles)
+            .zip(&mut buffers)
             .enumerate()
-            .map(|(offset, (pose, triangles))| {
+            .map(|(offset, ((pose, triangles), buffer))| {
                 let frame = first + offset;
-                let look = painter.look(pose, triangles, &means, &|| decode(frame));
+                let look = painter.look(pose, triangles, &means, buffer, &|| decode(frame));
                 progress(1);
                 look.map_err(|reason| FailedFrame {
                     #[expect(clippy::cast_possible_truncation, reason = "labels are u32")]
@@ -274,12 +276,12 @@ fn triangles_by_frame(label: &[Option<u32>], num_frames: usize) -> Vec<Vec<Trian
 }
 
 /// What came of looking through one frame.
-struct FrameLook {
+struct FrameLook<'a> {
     frame: Arc<DecodedFrame>,
     /// Vertices of the mesh in the camera.
     points_in_camera: Vec<Point3<f64>>,
     /// Drawn only where a mean needs it.
-    visibility: Option<VisibilityBuffer>,
+    visibility: Option<&'a VisibilityBuffer>,
     /// Per page.
     painted: Vec<Vec<Painted>>,
 }
@@ -300,13 +302,14 @@ struct Painter<'a> {
 
 impl Painter<'_> {
     /// Decodes the frame and paints its triangles; nothing when no texel needs it.
-    fn look(
+    fn look<'b>(
         &self,
         pose: &FramePose,
         triangles: &[TriangleId],
         means: &MeanTexels,
+        buffer: &'b mut VisibilityBuffer,
         decode: &dyn Fn() -> Result<Arc<DecodedFrame>, ImageError>,
-    ) -> Result<Option<FrameLook>, String> {
+    ) -> Result<Option<FrameLook<'b>>, String> {
         let triangles = if self.is_assigned { triangles } else { &[] };
         if triangles.is_empty() && means.is_empty() {
             return Ok(None);
@@ -316,7 +319,6 @@ impl Painter<'_> {
         let points_in_camera = camera_from_world.transform_points(self.mesh.positions_m());
         let mut visibility = None;
         if means.any_in_view(self.mesh, &frame.color_camera, &points_in_camera) {
-            let mut buffer = VisibilityBuffer::default();
             buffer
                 .update(
                     self.mesh,
@@ -325,7 +327,7 @@ impl Painter<'_> {
                     &self.params.visibility,
                 )
                 .map_err(|error| error.to_string())?;
-            visibility = Some(buffer);
+            visibility = Some(&*buffer);
         }
         let mut painted = vec![vec![]; self.layout.num_pages as usize];
         for &triangle in triangles {
@@ -336,9 +338,7 @@ impl Painter<'_> {
                 self.params.max_samples,
             );
             let Some(sampler) = sampler else { continue };
-            let hiding = visibility
-                .as_ref()
-                .filter(|_| self.is_partly_hidden[triangle.index()]);
+            let hiding = visibility.filter(|_| self.is_partly_hidden[triangle.index()]);
             let page = &mut painted[self.layout.page_of(triangle) as usize];
             self.paint(triangle, &sampler, &frame, hiding, page);
         }
