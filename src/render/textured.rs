@@ -213,6 +213,10 @@ pub fn sample_page(page: &TexturePage, [x_texel, y_texel]: [f32; 2]) -> Option<[
 }
 
 #[cfg(test)]
+#[expect(
+    clippy::cast_possible_truncation,
+    reason = "the numbers of a test are small"
+)]
 mod tests {
     use super::*;
     use crate::atlas::{ChartId, PlacedChart, TexelRect};

@@ -1,6 +1,11 @@
 //! Scenes for tests whose every colour and depth is known: panels facing the camera, painted by a
 //! function of the point, photographed by an independent ray caster.
 
+#![expect(
+    clippy::cast_possible_truncation,
+    reason = "the numbers of a test are small"
+)]
+
 use std::sync::Arc;
 
 use nalgebra::{Point3, UnitQuaternion, Vector3};

@@ -1,5 +1,10 @@
 //! Real captures for tests: the layout of `shared/data`, read directly.
 
+#![expect(
+    clippy::cast_possible_truncation,
+    reason = "the numbers of a test are small"
+)]
+
 use std::path::PathBuf;
 use std::sync::Arc;
 

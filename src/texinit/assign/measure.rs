@@ -1,5 +1,10 @@
 //! Timings and pictures on real captures: `cargo test --release --lib measure -- --ignored
 //! --nocapture`. Pictures go to `target/pictures`.
+
+#![expect(
+    clippy::cast_possible_truncation,
+    reason = "the numbers of a test are small"
+)]
 use super::capture::Capture;
 use super::*;
 use crate::geom::ColorImage;

@@ -321,6 +321,10 @@ impl Neighbours {
 }
 
 #[cfg(test)]
+#[expect(
+    clippy::cast_possible_truncation,
+    reason = "the numbers of a test are small"
+)]
 mod tests {
     use super::*;
     use nalgebra::Point3;
@@ -362,7 +366,7 @@ mod tests {
         unary + f64::from(weight) * equal as f64
     }
 
-    /// Offers per triangle, adjacent pairs, and the reward of a pair.
+    /// Offers per triangle, adjacent pairs, weight.
     type Problem = (Vec<Vec<(u32, f32)>>, Vec<[u32; 2]>, f32);
 
     fn problem() -> impl Strategy<Value = Problem> {

@@ -101,7 +101,7 @@ impl MeanTexels {
         &mut self,
         mesh: &TriMesh,
         layout: &AtlasLayout,
-        looks: &[FrameLook],
+        looks: &[FrameLook<'_>],
         params: &TransferParams,
     ) {
         let mut tasks = vec![];
@@ -171,12 +171,12 @@ fn may_see(camera: &PinholeCamera, corners_in_camera: &[Point3<f64>; 3]) -> bool
 fn add_triangle(
     mesh: &TriMesh,
     layout: &AtlasLayout,
-    look: &FrameLook,
+    look: &FrameLook<'_>,
     params: &TransferParams,
     triangle: TriangleId,
     sums: &mut [LinearSum],
 ) {
-    let Some(visibility) = &look.visibility else {
+    let Some(visibility) = look.visibility else {
         return;
     };
     let camera = &look.frame.color_camera;
