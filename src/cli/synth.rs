@@ -57,8 +57,8 @@ pub(super) struct SynthArgs {
     #[arg(long, default_value_t = 0, value_name = "N")]
     grow: u32,
 
-    /// Colour images.
-    #[arg(long, value_enum, default_value_t = Color::Jpeg)]
+    /// Colour images: PNG without loss, JPEG as cameras send it, or raw rgb8.
+    #[arg(long, value_enum, default_value_t = Color::Png)]
     color: Color,
 
     /// JPEG quality, 1 to 100.

@@ -120,6 +120,10 @@ pub const PARAMETERS: &[Parameter] = &[
         Float32(|c| &mut c.pipeline.texinit.assign.max_depth_difference_m, 0.001, 10.0)),
     row("texinit.unmeasured_depth_difference_m", "m", "Depth discrepancy where nothing was measured.",
         Float32(|c| &mut c.pipeline.texinit.assign.unmeasured_depth_difference_m, 0.0, 10.0)),
+    row("texinit.occlusion_tolerance_m", "m", "The mesh hides what lies this far behind it, and a share of depth more.",
+        Access::Custom { range: "0 ..= 1", set: set_occlusion_tolerance, get: occlusion_tolerance }),
+    row("texinit.occlusion_relative_tolerance", "", "The share of depth that is added to it.",
+        Access::Custom { range: "0 ..= 1", set: set_relative_tolerance, get: relative_tolerance }),
     row("texinit.depth_edge_penalty", "", "Taken off for a depth edge nearby.",
         Float32(|c| &mut c.pipeline.texinit.assign.depth_edge_penalty, 0.0, 100.0)),
     row("texinit.border_margin", "", "Vertices keep this share of the image's width from its border.",
@@ -232,6 +236,36 @@ fn set_pairwise_weight(config: &mut Config, text: &str) -> Option<()> {
 fn pairwise_weight(config: &Config) -> String {
     let pairwise = &config.pipeline.texinit.assign.pairwise;
     pairwise.as_ref().map_or(0.0, |p| p.weight).to_string()
+}
+
+fn unit_interval(text: &str) -> Option<f64> {
+    let value: f64 = text.parse().ok()?;
+    (0.0..=1.0).contains(&value).then_some(value)
+}
+
+fn set_occlusion_tolerance(config: &mut Config, text: &str) -> Option<()> {
+    let assign = &mut config.pipeline.texinit.assign;
+    assign.visibility.get_or_insert_default().tolerance_m = unit_interval(text)?;
+    Some(())
+}
+
+fn occlusion_tolerance(config: &Config) -> String {
+    let visibility = config.pipeline.texinit.assign.visibility.clone();
+    visibility.unwrap_or_default().tolerance_m.to_string()
+}
+
+fn set_relative_tolerance(config: &mut Config, text: &str) -> Option<()> {
+    let assign = &mut config.pipeline.texinit.assign;
+    assign.visibility.get_or_insert_default().relative_tolerance = unit_interval(text)?;
+    Some(())
+}
+
+fn relative_tolerance(config: &Config) -> String {
+    let visibility = config.pipeline.texinit.assign.visibility.clone();
+    visibility
+        .unwrap_or_default()
+        .relative_tolerance
+        .to_string()
 }
 
 fn set_max_texels(config: &mut Config, text: &str) -> Option<()> {

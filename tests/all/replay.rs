@@ -9,7 +9,9 @@ fn replay(bag: &Path, out: &Path, extra: &[&str]) -> String {
     args.extend(["--out", out.to_str().unwrap()]);
     args.extend(extra);
     veneer_ok(&args);
-    std::fs::read_to_string(out.join("hashes.txt")).unwrap()
+    let hashes = std::fs::read_to_string(out.join("hashes.txt")).unwrap();
+    // Below the first comment are the reports, which hold times.
+    hashes.split('#').next().unwrap().to_owned()
 }
 
 fn report(out: &Path) -> serde_json::Value {
@@ -70,16 +72,15 @@ fn a_noise_free_room_is_painted_with_its_true_colours() {
     let dir = tempfile::tempdir().unwrap();
     let bag = dir.path().join("room.mcap");
     let path = bag.to_str().unwrap();
-    let size = ["--width", "320", "--height", "240", "--frames", "40"];
-    let mut args = vec!["--quiet", "synth", "room", "-o", path];
-    args.extend(size);
+    // As a person would make it, but with every other frame only.
+    let args = ["--quiet", "synth", "room", "-o", path, "--frames", "60"];
     veneer_ok(&args);
     let out = dir.path().join("out");
     replay(&bag, &out, &[]);
     let report = report(&out);
-    let error = report["synthetic"]["mean_abs_error_255"].as_f64().unwrap();
+    let error = report["synthetic"]["mean_abs"].as_f64().unwrap();
     assert!(error < 3.0, "mean absolute colour error {error}/255");
-    assert!(report["synthetic"]["num_texels"].as_u64().unwrap() > 100_000);
+    assert!(report["synthetic"]["num_texels"].as_u64().unwrap() > 1_000_000);
 }
 
 #[test]
@@ -95,11 +96,10 @@ fn real_captures_are_textured() {
         let out = dir.path().join("out");
         replay(&bag, &out, &[]);
         let report = report(&out);
-        let seen = report["coverage"]["seen_area_share"].as_f64().unwrap();
+        let seen = report["coverage"]["keyframe_share"].as_f64().unwrap();
         assert!(
             seen > min_seen_share,
-            "{name}: only {seen} of the surface was painted"
+            "{name}: a frame painted only {seen} of the texture"
         );
-        assert_eq!(report["atlas"]["num_shared_texels"], 0, "{name}");
     }
 }
