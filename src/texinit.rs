@@ -6,7 +6,7 @@
 //! 1. [`flatten`]: charts, each flattened by boundary first flattening.
 //! 2. [`overlap`]: triangles of a chart that cover each other are put on different pieces.
 //! 3. [`assign`]: which frame paints which triangle, by three cues (Eq. MRFTex).
-//! 4. [`crate::atlas::pack`]: rectangles on pages, at one texel density taken from the images
+//! 4. [`crate::atlas::pack()`]: rectangles on pages, at one texel density taken from the images
 //!    ([`density`]).
 //! 5. [`transfer`]: colour copied from the chosen frame.
 //! 6. [`fill`]: colours for what no frame sees; then [`crate::atlas::gutter`].

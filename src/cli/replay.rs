@@ -62,13 +62,24 @@ pub(super) fn run(args: &ReplayArgs, quiet: bool) -> anyhow::Result<()> {
     let exported = export::write_all(&textured, &args.out, &config.export)?;
     let export_s = export_begun.elapsed().as_secs_f64();
 
+    progress.begin("score against the known texture", 0);
+    let score_begun = Instant::now();
+    let synthetic = score::against_truth(&args.bag, &run)?;
+    let score_s = score_begun.elapsed().as_secs_f64();
+
     progress.begin("draw the report", 0);
     let mut report = summary::of_run(&run, &args.bag, &bag, &config);
     report.stages.push(report::Stage {
         name: "write exports".to_owned(),
         seconds: export_s,
     });
-    report.synthetic = score::against_truth(&args.bag, &run)?;
+    if synthetic.is_some() {
+        report.stages.push(report::Stage {
+            name: "score against the known texture".to_owned(),
+            seconds: score_s,
+        });
+    }
+    report.synthetic = synthetic;
     report
         .notes
         .extend(exported.notes.iter().map(|text| report::Note {

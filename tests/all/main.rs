@@ -13,6 +13,7 @@ mod architecture;
 mod bad_input;
 mod bag_interop;
 mod command;
+mod docs;
 mod export;
 mod import;
 mod python;
