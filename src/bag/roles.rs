@@ -474,9 +474,15 @@ fn info_of<'a>(topics: &'a Topics, image: &str, color: Option<&str>) -> Option<&
     if let Some(found) = infos.iter().copied().find(same_frame) {
         return Some(found);
     }
-    // A lone info is the colour camera's.
-    let is_color = color == Some(image);
-    (is_color && infos.len() == 1).then(|| infos.first().copied())?
+    // A lone info is the colour camera's, unless its name says that it is another image's.
+    let is_of_another = |info: &&str| {
+        let others = topics.keys().filter(|name| name.as_str() != image);
+        let mut siblings = others.flat_map(|name| info_siblings(name));
+        siblings.any(|sibling| sibling == **info)
+    };
+    let is_lone_color = color == Some(image) && infos.len() == 1;
+    let lone = is_lone_color.then(|| infos.first().copied()).flatten();
+    lone.filter(|info| !is_of_another(info))
 }
 
 fn rectification_of(image: &str) -> Rectification {

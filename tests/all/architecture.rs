@@ -29,7 +29,10 @@ fn allowed_imports(root: &Path) -> BTreeMap<String, BTreeSet<String>> {
             .collect()
     };
     let mut allowed = BTreeMap::new();
-    for row in text.lines().filter(|l| l.starts_with("| `")) {
+    let table = text
+        .lines()
+        .skip_while(|l| !l.starts_with("| module | may import"));
+    for row in table.skip(2).take_while(|l| l.starts_with('|')) {
         let mut cells = row.trim_matches('|').split('|');
         let (Some(modules), Some(imports)) = (cells.next(), cells.next()) else {
             continue;
