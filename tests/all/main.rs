@@ -15,6 +15,7 @@ mod bag_interop;
 mod command;
 mod export;
 mod import;
+mod overlap;
 mod python;
 mod replay;
 mod report;
