@@ -16,6 +16,7 @@ mod command;
 mod docs;
 mod export;
 mod import;
+mod overlap;
 mod python;
 mod replay;
 mod report;

@@ -1,0 +1,442 @@
+//! No texel belongs to two triangles: real captures and a soup with every fault, from mesh to
+//! layout, judged by point-in-triangle tests in f64 that share nothing with the product's exact
+//! ones.
+
+#![expect(
+    clippy::cast_possible_truncation,
+    reason = "grids of at most a few thousand points to a side, clamped"
+)]
+
+use std::f64::consts::TAU;
+
+use nalgebra::{Point3, Vector3};
+use veneer::atlas::{AtlasLayout, PackParams, PackReport, TexelRect, num_shared_texels, pack};
+use veneer::import::mesh_file;
+use veneer::mesh::TriMesh;
+use veneer::texinit::flatten::{ChartMode, FlatChart, FlattenParams, flatten};
+use veneer::texinit::overlap::{OverlapParams, OverlapReport, separate};
+
+use crate::command::capture;
+
+/// Texels that the mesh's area would take without distortion.
+const NUM_TEXELS: f64 = 3e6;
+/// Barycentric weight from which a centre counts as strictly inside: far above the rounding of
+/// f64, far below a texel.
+const INSIDE: f64 = 1e-6;
+
+type Triangle = [[f64; 2]; 3];
+
+struct Placed {
+    flat: Vec<FlatChart>,
+    separated: Vec<FlatChart>,
+    overlap: OverlapReport,
+    layout: AtlasLayout,
+    pack: PackReport,
+}
+
+fn place(mesh: &TriMesh, mode: ChartMode) -> Placed {
+    let params = FlattenParams {
+        mode,
+        ..FlattenParams::default()
+    };
+    let flat = flatten(mesh, &params).unwrap().charts;
+    let (separated, overlap) = separate(flat.clone(), &OverlapParams::default());
+    let area_m2: f64 = mesh.triangle_ids().map(|t| mesh.area_m2(t)).sum();
+    let texels_per_m = (NUM_TEXELS / area_m2).sqrt();
+    let (layout, pack) = pack(
+        &separated,
+        mesh.num_triangles(),
+        texels_per_m,
+        &PackParams::default(),
+    )
+    .unwrap();
+    Placed {
+        flat,
+        separated,
+        overlap,
+        layout,
+        pack,
+    }
+}
+
+/// Who is strictly inside what, point by point of a grid whose points are at halves.
+struct Claims {
+    size: [usize; 2],
+    /// 0 nobody, 1 one triangle, 2 several.
+    num_owners: Vec<u8>,
+}
+
+impl Claims {
+    fn new(size: [usize; 2]) -> Self {
+        Self {
+            size,
+            num_owners: vec![0; size[0] * size[1]],
+        }
+    }
+
+    fn add(&mut self, [a, b, c]: &Triangle) {
+        let range = |axis: usize| {
+            let low = a[axis].min(b[axis]).min(c[axis]) - 1.0;
+            let high = a[axis].max(b[axis]).max(c[axis]) + 1.0;
+            (low.max(0.0) as usize)..(high.max(0.0) as usize + 1).min(self.size[axis])
+        };
+        let doubled_area = cross(a, b, c);
+        for y in range(1) {
+            for x in range(0) {
+                let point = [x as f64 + 0.5, y as f64 + 0.5];
+                let weights = [
+                    cross(b, c, &point) / doubled_area,
+                    cross(c, a, &point) / doubled_area,
+                    cross(a, b, &point) / doubled_area,
+                ];
+                // Not a number where the triangle has no area: never inside.
+                if weights.iter().all(|weight| *weight > INSIDE) {
+                    let num = &mut self.num_owners[y * self.size[0] + x];
+                    *num = (*num + 1).min(2);
+                }
+            }
+        }
+    }
+
+    fn count(&self, num_owners: u8) -> usize {
+        self.num_owners.iter().filter(|n| **n == num_owners).count()
+    }
+}
+
+fn cross(a: &[f64; 2], b: &[f64; 2], c: &[f64; 2]) -> f64 {
+    (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+}
+
+/// Texel centres that one triangle claims, and those that several claim.
+fn claimed_texels(layout: &AtlasLayout) -> [usize; 2] {
+    let size = layout.page_size_texel.map(|side| side as usize);
+    let mut pages: Vec<Claims> = (0..layout.num_pages).map(|_| Claims::new(size)).collect();
+    for (chart, corners) in layout.chart_of_triangle.iter().zip(&layout.corners_texel) {
+        let page = layout.charts[chart.index()].page as usize;
+        pages[page].add(&corners.map(|corner| corner.map(f64::from)));
+    }
+    [1, 2].map(|num_owners| pages.iter().map(|page| page.count(num_owners)).sum())
+}
+
+/// Points of the charts' own planes that several triangles of one chart claim: what `separate`
+/// alone must prevent, before packing rounds anything.
+fn claimed_twice_in_plane(charts: &[FlatChart]) -> usize {
+    charts.iter().map(claimed_twice_in_chart).sum()
+}
+
+fn claimed_twice_in_chart(chart: &FlatChart) -> usize {
+    let points = || chart.corners_m.iter().flatten();
+    let low = |axis: usize| points().map(|p| p[axis]).fold(f64::INFINITY, f64::min);
+    let high = |axis: usize| points().map(|p| p[axis]).fold(f64::NEG_INFINITY, f64::max);
+    let origin = [low(0), low(1)];
+    let extent_m = (high(0) - origin[0]).max(high(1) - origin[1]);
+    // Some twenty points to a triangle.
+    let side = (20.0 * chart.triangles.len() as f64)
+        .sqrt()
+        .clamp(8.0, 2000.0);
+    let mut claims = Claims::new([side as usize + 1; 2]);
+    for corners in &chart.corners_m {
+        claims.add(
+            &corners.map(|[x, y]| [x - origin[0], y - origin[1]].map(|v| v / extent_m * side)),
+        );
+    }
+    claims.count(2)
+}
+
+/// Everything that holds for any layout of any mesh.
+fn check_layout(mesh: &TriMesh, placed: &Placed) {
+    let layout = &placed.layout;
+    assert_eq!(claimed_twice_in_plane(&placed.separated), 0);
+    assert_eq!(num_shared_texels(layout), 0);
+    let [num_single, num_shared] = claimed_texels(layout);
+    assert_eq!(num_shared, 0, "beside {num_single} with one owner");
+    // Without texels the counts above would say nothing. Centres on edges are nobody's here.
+    let num_owned = placed.pack.num_owned_texels;
+    assert!(num_single <= num_owned, "{num_single} of {num_owned}");
+    assert!(
+        num_single > num_owned * 9 / 10,
+        "{num_single} of {num_owned}"
+    );
+    assert!(num_owned as f64 > 0.5 * NUM_TEXELS, "{num_owned} texels");
+    check_every_triangle_has_its_place(mesh, layout);
+    check_rects_are_apart(layout);
+}
+
+fn check_every_triangle_has_its_place(mesh: &TriMesh, layout: &AtlasLayout) {
+    assert_eq!(layout.corners_texel.len(), mesh.num_triangles());
+    assert_eq!(layout.chart_of_triangle.len(), mesh.num_triangles());
+    let mut is_placed = vec![false; mesh.num_triangles()];
+    for (index, chart) in layout.charts.iter().enumerate() {
+        let TexelRect {
+            x,
+            y,
+            width,
+            height,
+        } = chart.rect;
+        let columns = x as f32..=(x + width) as f32;
+        let rows = y as f32..=(y + height) as f32;
+        for triangle in &chart.triangles {
+            let was_placed = std::mem::replace(&mut is_placed[triangle.index()], true);
+            assert!(!was_placed, "{triangle:?} is in two charts");
+            assert_eq!(layout.chart_of_triangle[triangle.index()].index(), index);
+            for [u, v] in layout.corners_texel[triangle.index()] {
+                let is_inside = columns.contains(&u) && rows.contains(&v);
+                assert!(
+                    is_inside,
+                    "{triangle:?} at {u}, {v} outside {:?}",
+                    chart.rect
+                );
+            }
+        }
+    }
+    assert!(is_placed.iter().all(|p| *p), "a triangle is in no chart");
+}
+
+fn check_rects_are_apart(layout: &AtlasLayout) {
+    let [page_width, page_height] = layout.page_size_texel;
+    let mut rects: Vec<(u32, TexelRect)> = layout.charts.iter().map(|c| (c.page, c.rect)).collect();
+    rects.sort_by_key(|(page, rect)| (*page, rect.x, rect.y));
+    for (i, (page, rect)) in rects.iter().enumerate() {
+        assert!(*page < layout.num_pages);
+        assert!(rect.width > 0 && rect.height > 0, "{rect:?} is empty");
+        let is_on_page = rect.x + rect.width <= page_width && rect.y + rect.height <= page_height;
+        assert!(is_on_page, "{rect:?} leaves its page");
+        let beside = rects[i + 1..]
+            .iter()
+            .take_while(|(p, r)| p == page && r.x < rect.x + rect.width);
+        for (_, other) in beside {
+            let is_apart = other.y >= rect.y + rect.height || rect.y >= other.y + other.height;
+            assert!(is_apart, "{rect:?} and {other:?} intersect on page {page}");
+        }
+    }
+}
+
+fn check_capture(name: &str, mode: ChartMode) -> Option<Placed> {
+    let folder = capture(name)?;
+    let (mesh, _) = mesh_file::read(&folder.join("mesh.ply")).unwrap();
+    let placed = place(&mesh, mode);
+    check_layout(&mesh, &placed);
+    // Packing sets triangles apart that share a texel after rounding, and would hide what
+    // separation missed: whole layers of triangles.
+    let num_moved = placed.pack.num_moved_triangles;
+    assert!(num_moved * 1000 < mesh.num_triangles(), "{num_moved} moved");
+    Some(placed)
+}
+
+/// The charts did cover themselves before: the zeros are a cure's, not those of a tame mesh.
+fn check_there_was_overlap(placed: &Placed) {
+    assert!(placed.overlap.num_overlapping_charts > 0);
+    assert!(claimed_twice_in_plane(&placed.flat) > 100);
+}
+
+#[test]
+fn no_texel_of_the_apartment_is_shared() {
+    if let Some(placed) = check_capture("apt0_structure", ChartMode::Streaming) {
+        check_there_was_overlap(&placed);
+    }
+}
+
+#[test]
+fn no_texel_of_the_apartment_is_shared_with_a_chart_per_component() {
+    if let Some(placed) = check_capture("apt0_structure", ChartMode::Paper) {
+        check_there_was_overlap(&placed);
+    }
+}
+
+#[test]
+fn no_texel_of_the_board_is_shared() {
+    check_capture("charuco_lidar", ChartMode::Streaming);
+}
+
+#[test]
+fn no_texel_of_the_board_is_shared_with_a_chart_per_component() {
+    check_capture("charuco_lidar", ChartMode::Paper);
+}
+
+#[test]
+fn no_texel_of_a_soup_is_shared() {
+    let soup = soup();
+    for mode in [ChartMode::Streaming, ChartMode::Paper] {
+        let placed = place(&soup, mode);
+        check_layout(&soup, &placed);
+        // The ramp runs over itself in either mode.
+        check_there_was_overlap(&placed);
+    }
+}
+
+#[test]
+fn a_triangle_laid_on_another_is_found() {
+    let mut placed = place(&soup(), ChartMode::Streaming);
+    let layout = &mut placed.layout;
+    let doubled_area = |t: &usize| {
+        let [a, b, c] = layout.corners_texel[*t].map(|corner| corner.map(f64::from));
+        cross(&a, &b, &c).abs()
+    };
+    let mut by_area: Vec<usize> = (0..layout.corners_texel.len()).collect();
+    by_area.sort_by(|s, t| doubled_area(t).total_cmp(&doubled_area(s)));
+    let (moved, below) = (by_area[0], by_area[1]);
+    layout.chart_of_triangle[moved] = layout.chart_of_triangle[below];
+    layout.corners_texel[moved] = layout.corners_texel[below];
+    let [_, num_shared] = claimed_texels(layout);
+    assert!(num_shared > 1000, "{num_shared}");
+    assert!(num_shared_texels(layout) >= num_shared);
+}
+
+/// Triangles with every fault that scans have, and some that they should not.
+#[derive(Default)]
+struct Soup {
+    positions: Vec<Point3<f64>>,
+    triangles: Vec<[u32; 3]>,
+    state: u64,
+}
+
+fn soup() -> TriMesh {
+    let mut soup = Soup::default();
+    soup.add_ramp(3);
+    soup.add_ring_strip([4.0, 0.0, 0.0], true);
+    soup.add_ring_strip([4.0, 3.0, 0.0], false);
+    soup.add_torus([0.0, 5.0, 0.0]);
+    soup.add_slivers([8.0, 0.0, 0.0]);
+    soup.add_book([8.0, 3.0, 0.0], 5);
+    soup.add_copies();
+    soup.add_without_area();
+    soup.add_random(200);
+    let (mesh, report) = TriMesh::from_soup(soup.positions, soup.triangles).unwrap();
+    assert_eq!(report.num_dropped_triangles, 0);
+    mesh
+}
+
+impl Soup {
+    /// A number in 0..1 (Knuth's linear congruential generator).
+    fn random(&mut self) -> f64 {
+        self.state = self
+            .state
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1_442_695_040_888_963_407);
+        (self.state >> 40) as f64 / f64::from(1 << 24)
+    }
+
+    fn add_vertex(&mut self, at: Point3<f64>) -> u32 {
+        self.positions.push(at);
+        self.positions.len() as u32 - 1
+    }
+
+    /// Two triangles per cell of a grid of vertices; `at` says where the vertices are.
+    fn add_grid(&mut self, cells: [u32; 2], at: impl Fn(u32, u32) -> Point3<f64>) {
+        let first = self.positions.len() as u32;
+        let [columns, rows] = cells;
+        for j in 0..=rows {
+            self.positions.extend((0..=columns).map(|i| at(i, j)));
+        }
+        for (i, j) in (0..rows).flat_map(|j| (0..columns).map(move |i| (i, j))) {
+            let corner = |di, dj| first + (j + dj) * (columns + 1) + i + di;
+            self.triangles
+                .push([corner(0, 0), corner(1, 0), corner(1, 1)]);
+            self.triangles
+                .push([corner(0, 0), corner(1, 1), corner(0, 1)]);
+        }
+    }
+
+    /// A spiral ramp: nearly flat, so one chart, which covers itself once per turn.
+    fn add_ramp(&mut self, num_turns: u32) {
+        self.add_grid([40 * num_turns, 3], |i, j| {
+            let angle = f64::from(i) / 40.0 * TAU;
+            let radius = 1.5 - 0.2 * f64::from(j);
+            Point3::new(
+                radius * angle.cos(),
+                radius * angle.sin(),
+                0.1 * angle / TAU,
+            )
+        });
+    }
+
+    /// A strip whose ends meet (at equal positions), turned over once: a Möbius strip; or not: a
+    /// band.
+    fn add_ring_strip(&mut self, origin: [f64; 3], is_twisted: bool) {
+        let twist = if is_twisted { 0.5 } else { 0.0 };
+        self.add_grid([48, 4], |i, j| {
+            // The last column is the first one upside down, bit for bit.
+            let (i, across) = match (i, is_twisted) {
+                (48, true) => (0, 2.0 - f64::from(j)),
+                (i, _) => (i % 48, f64::from(j) - 2.0),
+            };
+            let angle = f64::from(i) / 48.0 * TAU;
+            let out = Vector3::new(angle.cos(), angle.sin(), 0.0);
+            let side = out * (twist * angle).cos() + Vector3::z() * (twist * angle).sin();
+            Point3::from(origin) + out + side * (0.15 * across)
+        });
+    }
+
+    /// Closed, with a handle.
+    fn add_torus(&mut self, origin: [f64; 3]) {
+        self.add_grid([32, 16], |i, j| {
+            let around = f64::from(i % 32) / 32.0 * TAU;
+            let tube = f64::from(j % 16) / 16.0 * TAU;
+            let radius = 1.0 + 0.4 * tube.cos();
+            let on_torus = Vector3::new(
+                radius * around.cos(),
+                radius * around.sin(),
+                0.4 * tube.sin(),
+            );
+            Point3::from(origin) + on_torus
+        });
+    }
+
+    /// A sheet of ever thinner rows, down to a ten-millionth of their length.
+    fn add_slivers(&mut self, origin: [f64; 3]) {
+        self.add_grid([6, 24], |i, j| {
+            let height = 1.0 - 0.5_f64.powi(j as i32);
+            Point3::from(origin) + Vector3::new(0.3 * f64::from(i), height, 0.0)
+        });
+    }
+
+    /// Pages that all hang on one edge.
+    fn add_book(&mut self, origin: [f64; 3], num_pages: u32) {
+        let origin = Point3::from(origin);
+        let spine = [origin, origin + Vector3::z()].map(|p| self.add_vertex(p));
+        for page in 0..num_pages {
+            let angle = f64::from(page) / f64::from(num_pages) * TAU;
+            let tip = origin + Vector3::new(angle.cos(), angle.sin(), 0.5);
+            let tip = self.add_vertex(tip);
+            self.triangles.push([spine[0], spine[1], tip]);
+        }
+    }
+
+    /// Every seventh triangle once more, every eleventh reversed, every thirteenth turned over.
+    fn add_copies(&mut self) {
+        let original = self.triangles.clone();
+        self.triangles.extend(original.iter().step_by(7));
+        let reversed = original.iter().step_by(11).map(|[a, b, c]| [*a, *c, *b]);
+        self.triangles.extend(reversed);
+        for triangle in self.triangles.iter_mut().step_by(13) {
+            triangle.swap(0, 1);
+        }
+    }
+
+    /// One corner thrice, an edge there and back, three points on a line, three at one place.
+    fn add_without_area(&mut self) {
+        self.triangles.extend([[3, 3, 3], [3, 4, 3], [40, 40, 41]]);
+        let line = [0.0, 0.5, 1.0].map(|x| self.add_vertex(Point3::new(x, 9.0, 0.0)));
+        let place = [2.0; 3].map(|x| self.add_vertex(Point3::new(x, 9.0, 0.0)));
+        self.triangles.extend([line, place]);
+    }
+
+    /// Triangles between any three of some vertices, old and new.
+    fn add_random(&mut self, num_triangles: u32) {
+        for _ in 0..num_triangles / 4 {
+            let at = [0; 3].map(|_| self.random());
+            self.add_vertex(Point3::from(at) + Vector3::new(4.0, 6.0, 0.0));
+        }
+        let num_vertices = self.positions.len();
+        let num_new = num_triangles as usize / 4;
+        for k in 0..num_triangles {
+            // Few of the old, whose triangles would be large and take all texels.
+            let num_among = if k % 20 == 0 { num_vertices } else { num_new };
+            let corners = [0; 3].map(|_| {
+                let back = (self.random() * num_among as f64) as usize;
+                (num_vertices - 1 - back.min(num_vertices - 1)) as u32
+            });
+            self.triangles.push(corners);
+        }
+    }
+}
