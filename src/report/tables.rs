@@ -75,11 +75,20 @@ fn table(heads: &[&str], rows: &[Vec<String>]) -> String {
 }
 
 fn card(heading: &str, body: &str) -> String {
+    card_of("card", heading, body)
+}
+
+/// A card with a row to itself, for long names side by side.
+fn wide_card(heading: &str, body: &str) -> String {
+    card_of("card wide", heading, body)
+}
+
+fn card_of(class: &str, heading: &str, body: &str) -> String {
     if body.is_empty() {
         return String::new();
     }
     format!(
-        "<div class=\"card\"><h3>{}</h3>{body}</div>",
+        "<div class=\"{class}\"><h3>{}</h3>{body}</div>",
         escape(heading)
     )
 }
@@ -299,7 +308,7 @@ pub(super) fn recording(report: &Report) -> String {
         .collect();
     let mut cards = String::new();
     let heads = ["topic", "type", "used as", "messages#", "Hz#"];
-    cards.push_str(&card("Topics", &table(&heads, &topics)));
+    cards.push_str(&wide_card("Topics", &table(&heads, &topics)));
     cards.push_str(&card(
         "On the way",
         &table(&["", "#"], &counts(&report.counts)),
