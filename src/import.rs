@@ -4,8 +4,8 @@
 //! same for all: images are loaded a few frames at a time, written with their camera, pose and
 //! transform by [`ScanWriter`], and the mesh goes with them, in one piece at the first frame's stamp or
 //! growing. Photos keep their bytes; depth becomes 16-bit millimetres. Poses are camera-to-world of
-//! the colour camera's optical frame; the world is the data set's own. A frame that cannot be
-//! used is left out and named in the summary. The bag appears under its name when it is whole.
+//! the colour camera's optical frame; the world is the data set's own, turned to z up when
+//! [`ImportOptions::up`] says so. A frame that cannot be used is left out and named in the summary. The bag appears under its name when it is whole.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -20,6 +20,7 @@ use crate::mesh::{MeshError, TriMesh};
 
 mod capture;
 mod grow;
+mod level;
 mod load;
 pub mod mesh_file;
 pub mod obj;
@@ -30,7 +31,9 @@ mod seven_scenes;
 mod three_d_scanner;
 mod tum;
 
-pub use options::{DepthOutput, ImportFormat, ImportFormatError, ImportOptions};
+pub use options::{
+    DepthOutput, ImportFormat, ImportFormatError, ImportOptions, SignedAxis, WorldUp,
+};
 
 use grow::Growth;
 use load::{LoadError, LoadedFrame};
@@ -154,8 +157,9 @@ pub fn import(
     progress: &mut dyn FnMut(u64, u64),
 ) -> Result<ImportSummary, ImportError> {
     options.check(format)?;
-    let scan = list(format, src, options)?;
-    let mesh = read_mesh(&scan, src, options)?;
+    let mut scan = list(format, src, options)?;
+    let mut mesh = read_mesh(&scan, src, options)?;
+    let up = turn_up(&mut scan, mesh.as_mut().map(|(mesh, _)| mesh), options.up);
     let writer = ScanWriter::create(out, &options.topics, options.compression)?;
     let mut run = ImportRun::new(
         src,
@@ -168,7 +172,7 @@ pub fn import(
     run.write_frames(progress)?;
     let num_unseen_triangles = run.finish_growth()?;
     run.writer
-        .metadata("veneer.import", describe(format, src, &scan, options))?;
+        .metadata("veneer.import", describe(format, src, &scan, up, options))?;
     let ImportRun { counts, writer, .. } = run;
     let (Some(first), Some(last)) = (counts.first, counts.last) else {
         return Err(no_frames(format, src, &counts.refusals));
@@ -232,6 +236,33 @@ fn read_mesh(
     }
 }
 
+/// Turns poses and mesh so that z is up; the up of the data set's world, where they were turned.
+fn turn_up(scan: &mut Scan, mesh: Option<&mut TriMesh>, option: WorldUp) -> Option<[f64; 3]> {
+    let Some(up) = level::up_in_world(option, scan, mesh.as_deref()) else {
+        if option == WorldUp::Level {
+            scan.notes.push(
+                "which way is up cannot be told; the world is as recorded (--up says it)"
+                    .to_owned(),
+            );
+        }
+        return None;
+    };
+    let level_from_world = level::turn(&up);
+    for frame in &mut scan.frames {
+        frame.world_from_camera = level_from_world * frame.world_from_camera;
+    }
+    if let Some(mesh) = mesh {
+        *mesh = mesh.transformed(&level_from_world);
+    }
+    let [x, y, z] = <[f64; 3]>::from(up.into_inner());
+    if option == WorldUp::Level {
+        scan.notes.push(format!(
+            "z is up now; in the data set ({x:.3}, {y:.3}, {z:.3}) is (--up keep leaves it)"
+        ));
+    }
+    Some([x, y, z])
+}
+
 fn file_name(path: &Path) -> String {
     path.file_name()
         .map(|name| name.to_string_lossy().into_owned())
@@ -243,8 +274,10 @@ fn describe(
     format: ImportFormat,
     src: &Path,
     scan: &Scan,
+    up: Option<[f64; 3]>,
     options: &ImportOptions,
 ) -> BTreeMap<String, String> {
+    let up = up.map(|[x, y, z]| format!("{x} {y} {z}"));
     let mesh = scan.mesh.as_deref().map(file_name);
     [
         ("format", format.name().to_owned()),
@@ -252,6 +285,7 @@ fn describe(
         ("refined", options.refined.to_string()),
         ("min_confidence", options.min_confidence.to_string()),
         ("mesh", mesh.unwrap_or_else(|| "none".to_owned())),
+        ("up", up.unwrap_or_else(|| "as recorded".to_owned())),
     ]
     .map(|(key, value)| (key.to_owned(), value))
     .into()

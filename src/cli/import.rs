@@ -10,7 +10,7 @@ use super::Usage;
 use super::print_product;
 use super::progress::TerminalProgress;
 use crate::bag::Compression;
-use crate::import::{DepthOutput, ImportFormat, ImportOptions, ImportSummary, import};
+use crate::import::{DepthOutput, ImportFormat, ImportOptions, ImportSummary, WorldUp, import};
 
 /// Make a bag from a data set or a phone capture.
 #[derive(Debug, Args)]
@@ -64,6 +64,16 @@ pub(super) struct ImportArgs {
     #[arg(long, default_value_t = 0.02, value_name = "SECONDS")]
     max_time_difference: f64,
 
+    /// Which way is up in the data set, where the bag has z: x, y, z, -x, -y, -z; `auto` finds it
+    /// from how the cameras are held and from level faces, `keep` turns nothing.
+    #[arg(
+        long,
+        default_value = "auto",
+        value_name = "AXIS",
+        allow_hyphen_values = true
+    )]
+    up: WorldUp,
+
     /// Compression of the bag's chunks (images are compressed already).
     #[arg(long, value_enum, default_value_t = BagCompression::None)]
     compression: BagCompression,
@@ -111,6 +121,7 @@ pub(super) fn run(args: &ImportArgs, quiet: bool) -> anyhow::Result<()> {
         grow: args.grow,
         max_time_difference_s: args.max_time_difference,
         compression: args.compression.into(),
+        up: args.up,
         ..ImportOptions::default()
     };
     let progress = TerminalProgress::new(quiet);

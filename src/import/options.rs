@@ -77,6 +77,57 @@ pub enum DepthOutput {
     Raw,
 }
 
+/// A direction along an axis of the data set's world.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[expect(missing_docs, reason = "the names say it")]
+pub enum SignedAxis {
+    X,
+    NegX,
+    Y,
+    NegY,
+    Z,
+    NegZ,
+}
+
+impl SignedAxis {
+    /// All directions with the names they are asked for by.
+    pub const ALL: [(&'static str, Self); 6] = [
+        ("x", Self::X),
+        ("-x", Self::NegX),
+        ("y", Self::Y),
+        ("-y", Self::NegY),
+        ("z", Self::Z),
+        ("-z", Self::NegZ),
+    ];
+}
+
+/// Which way is up in the data set's world; the bag's world has z up.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub enum WorldUp {
+    /// The world is not turned.
+    #[default]
+    AsRecorded,
+    /// Found from how the cameras are held and from the mesh's level faces; not turned when these
+    /// do not tell.
+    Level,
+    /// This axis.
+    Axis(SignedAxis),
+}
+
+impl FromStr for WorldUp {
+    type Err = String;
+
+    fn from_str(name: &str) -> Result<Self, Self::Err> {
+        let axis = SignedAxis::ALL.iter().find(|(known, _)| *known == name);
+        match (name, axis) {
+            ("auto", _) => Ok(Self::Level),
+            ("keep", _) => Ok(Self::AsRecorded),
+            (_, Some((_, axis))) => Ok(Self::Axis(*axis)),
+            _ => Err(format!("'{name}' is not auto, keep, x, y, z, -x, -y or -z")),
+        }
+    }
+}
+
 /// What to import, and how.
 #[derive(Clone, Debug)]
 pub struct ImportOptions {
@@ -98,6 +149,8 @@ pub struct ImportOptions {
     pub max_time_difference_s: f64,
     /// Compression of the bag's chunks. The images in it are compressed already.
     pub compression: Compression,
+    /// Which way is up in the data set's world.
+    pub up: WorldUp,
     /// Topic and frame names.
     pub topics: ScanTopics,
 }
@@ -114,6 +167,7 @@ impl Default for ImportOptions {
             // The data set's own tools associate within 20 ms.
             max_time_difference_s: 0.02,
             compression: Compression::None,
+            up: WorldUp::default(),
             topics: ScanTopics::default(),
         }
     }
@@ -177,6 +231,15 @@ mod tests {
             "TUM".parse::<ImportFormat>(),
             Err(ImportFormatError::Unknown(_))
         ));
+    }
+
+    #[test]
+    fn ways_up_are_known_by_name() {
+        assert_eq!("auto".parse(), Ok(WorldUp::Level));
+        assert_eq!("keep".parse(), Ok(WorldUp::AsRecorded));
+        assert_eq!("-y".parse(), Ok(WorldUp::Axis(SignedAxis::NegY)));
+        let error = "up".parse::<WorldUp>().unwrap_err();
+        assert!(error.contains("'up'") && error.contains("-z"), "{error}");
     }
 
     #[test]

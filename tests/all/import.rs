@@ -11,7 +11,8 @@ use std::path::{Path, PathBuf};
 
 use veneer::geom::{Distortion, RigidTransform, Stamp};
 use veneer::import::{
-    DepthOutput, ImportError, ImportFormat, ImportOptions, ImportSummary, import,
+    DepthOutput, ImportError, ImportFormat, ImportOptions, ImportSummary, SignedAxis, WorldUp,
+    import,
 };
 
 use read_back::ReadBack;
@@ -111,6 +112,32 @@ fn capture_round_trips() {
     assert_eq!(mesh, &tree::mesh());
     assert_eq!(back.meshes[0].0, summary.first);
     assert_eq!(back.metadata("veneer.import", "format"), "capture");
+}
+
+#[test]
+fn a_world_is_turned_to_z_up_with_its_mesh() {
+    let tree = Tree::new();
+    let frames = frames(3, 0, 250);
+    tree.write_capture(&frames);
+    let options = ImportOptions {
+        up: WorldUp::Axis(SignedAxis::Y),
+        ..ImportOptions::default()
+    };
+    let (_, back) = imported(ImportFormat::Capture, &tree, &options);
+    // (x, y, z) becomes (x, -z, y).
+    let half = std::f64::consts::FRAC_1_SQRT_2;
+    let turn = RigidTransform::try_from_quaternion([half, 0.0, 0.0, half], [0.0; 3]).unwrap();
+    for (index, frame) in frames.iter().enumerate() {
+        assert_same_pose(&back.transforms[index].1, &(turn * frame.world_from_camera));
+    }
+    let positions = back.whole_mesh().positions_m();
+    assert_eq!(positions.len(), tree::mesh().num_vertices());
+    for (turned, recorded) in positions.iter().zip(tree::mesh().positions_m()) {
+        let expected = [recorded.x, -recorded.z, recorded.y];
+        let distance = (turned.coords - nalgebra::Vector3::from(expected)).norm();
+        assert!(distance < 1e-6, "{turned} {recorded}");
+    }
+    assert_eq!(back.metadata("veneer.import", "up"), "0 1 0");
 }
 
 #[test]
