@@ -54,6 +54,7 @@ pub(super) fn run(args: &ReplayArgs, quiet: bool) -> anyhow::Result<()> {
     let mut bag = BagReader::open(&args.bag, &config.topics)?;
     let mut run = pipeline::run(&mut bag, &config.pipeline, &progress)
         .with_context(|| why_not(&args.bag, &bag))?;
+    let mut report = summary::of_run(&run, &args.bag, &bag, &config);
     let views = take_views(&mut run);
 
     progress.begin("write exports", 0);
@@ -68,7 +69,6 @@ pub(super) fn run(args: &ReplayArgs, quiet: bool) -> anyhow::Result<()> {
     let score_s = score_begun.elapsed().as_secs_f64();
 
     progress.begin("draw the report", 0);
-    let mut report = summary::of_run(&run, &args.bag, &bag, &config);
     report.stages.push(report::Stage {
         name: "write exports".to_owned(),
         seconds: export_s,

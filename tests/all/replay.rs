@@ -81,6 +81,12 @@ fn a_noise_free_room_is_painted_with_its_true_colours() {
     let error = report["synthetic"]["mean_abs"].as_f64().unwrap();
     assert!(error < 3.0, "mean absolute colour error {error}/255");
     assert!(report["synthetic"]["num_texels"].as_u64().unwrap() > 1_000_000);
+    let views = report["views"].as_array().unwrap().iter();
+    let num_shown = views.filter(|view| view["held_out"] == true).count();
+    let counts = report["counts"].as_array().unwrap();
+    let counted = counts.iter().find(|c| c["name"] == "keyframes held out");
+    assert!(num_shown > 0);
+    assert_eq!(counted.unwrap()["value"], num_shown);
 }
 
 #[test]
