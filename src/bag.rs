@@ -21,7 +21,7 @@ pub use info::BagInfo;
 pub use mapped::metadata;
 pub use reader::BagReader;
 pub use roles::{MissingRole, TopicAssignment, TopicPlan, TopicRoles};
-pub use writer::{BagSummary, BagWriter, ChannelId, Compression};
+pub use writer::{BagSummary, BagWriter, ChannelId, Compression, partial_path};
 
 #[cfg(test)]
 mod tests;

@@ -2,6 +2,7 @@
 
 mod import;
 mod info;
+mod interrupt;
 mod params;
 mod progress;
 mod replay;
@@ -10,6 +11,7 @@ mod synth;
 
 use std::process::ExitCode;
 
+use clap::builder::RangedI64ValueParser;
 use clap::{Parser, Subcommand};
 
 const EXAMPLES: &str = "\
@@ -30,8 +32,8 @@ struct Cli {
     quiet: bool,
 
     /// Worker threads; 0 takes one per core. The result does not depend on it.
-    #[arg(long, global = true, default_value_t = 0, value_name = "N")]
-    threads: usize,
+    #[arg(long, global = true, default_value_t = 0, value_name = "N", value_parser = num_threads())]
+    threads: u16,
 
     /// Log filter, as in `veneer=debug` (RUST_LOG syntax).
     #[arg(long, global = true, default_value = "warn", value_name = "FILTER")]
@@ -48,6 +50,11 @@ enum Command {
     Synth(synth::SynthArgs),
     Info(info::InfoArgs),
     Params(params::ParamsArgs),
+}
+
+/// A slip of the finger should not exhaust the system's threads.
+fn num_threads() -> RangedI64ValueParser<u16> {
+    clap::value_parser!(u16).range(..=1024)
 }
 
 /// What the process was asked to do was impossible to understand, as opposed to having failed.
@@ -86,7 +93,7 @@ fn run(cli: &Cli) -> anyhow::Result<()> {
         .with_writer(std::io::stderr)
         .init();
     rayon::ThreadPoolBuilder::new()
-        .num_threads(cli.threads)
+        .num_threads(cli.threads.into())
         .build_global()?;
     match &cli.command {
         Command::Replay(args) => replay::run(args, cli.quiet),

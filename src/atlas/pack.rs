@@ -206,8 +206,17 @@ fn density_for_area(frames: &[ChartFrame], wanted: f64, params: &PackParams) -> 
     if fits(wanted) {
         return wanted;
     }
-    let (mut low, mut high) = (0.0, wanted);
-    for _ in 0..50 {
+    // First the power of two: a mesh in the wrong unit may be off by many.
+    const MAX_HALVINGS: usize = 200;
+    let mut low = 0.5 * wanted;
+    for _ in 0..MAX_HALVINGS {
+        if fits(low) {
+            break;
+        }
+        low *= 0.5;
+    }
+    let mut high = 2.0 * low;
+    for _ in 0..30 {
         let middle = 0.5 * (low + high);
         if fits(middle) {
             low = middle;
@@ -215,7 +224,7 @@ fn density_for_area(frames: &[ChartFrame], wanted: f64, params: &PackParams) -> 
             high = middle;
         }
     }
-    if low > 0.0 { low } else { high }
+    low
 }
 
 fn check_params(texels_per_m: f64, params: &PackParams) -> Result<(), PackError> {

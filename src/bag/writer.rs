@@ -62,6 +62,13 @@ impl PartialFile {
     }
 }
 
+/// Where the bag of this path lies until it is finished.
+pub fn partial_path(path: &Path) -> PathBuf {
+    let mut part = OsString::from(path);
+    part.push(".part");
+    PathBuf::from(part)
+}
+
 /// A bag being written.
 pub struct BagWriter<W: Write + Seek> {
     writer: Option<Writer<W>>,
@@ -73,11 +80,16 @@ impl BagWriter<BufWriter<File>> {
     /// A bag at `path`, which appears (or is replaced) when [`Self::finish`] returns.
     ///
     /// # Errors
-    /// [`BagError`] when the file cannot be created.
+    /// [`BagError`] when the file cannot be created, or a folder or device has its name.
     pub fn create(path: &Path, compression: Compression) -> Result<Self, BagError> {
-        let mut part = OsString::from(path);
-        part.push(".part");
-        let part = PathBuf::from(part);
+        // Renaming over a device would replace the device, over a folder fail after all the work.
+        if fs::metadata(path).is_ok_and(|there| !there.is_file()) {
+            return Err(BagError::Io {
+                path: path.to_owned(),
+                error: std::io::Error::other("is there already, and is no file to be replaced"),
+            });
+        }
+        let part = partial_path(path);
         let file = File::create(&part).map_err(|error| BagError::Io {
             path: path.to_owned(),
             error,

@@ -7,10 +7,13 @@ use std::str::FromStr;
 use clap::{Args, ValueEnum};
 
 use super::Usage;
+use super::interrupt;
 use super::print_product;
 use super::progress::TerminalProgress;
-use crate::bag::Compression;
-use crate::import::{DepthOutput, ImportFormat, ImportOptions, ImportSummary, WorldUp, import};
+use crate::bag::{Compression, partial_path};
+use crate::import::{
+    DepthOutput, ImportError, ImportFormat, ImportOptions, ImportSummary, WorldUp, import,
+};
 
 /// Make a bag from a data set or a phone capture.
 #[derive(Debug, Args)]
@@ -45,8 +48,8 @@ pub(super) struct ImportArgs {
     refined: bool,
 
     /// `tum`, `7scenes`: intrinsics in pixels instead of the data set's usual ones.
-    #[arg(long, value_name = "FX,FY,CX,CY", value_delimiter = ',', num_args = 4)]
-    intrinsics: Option<Vec<f64>>,
+    #[arg(long, value_name = "FX,FY,CX,CY", value_parser = four_numbers)]
+    intrinsics: Option<[f64; 4]>,
 
     /// How depth is stored: compressedDepth PNG, or raw 16UC1.
     #[arg(long, value_enum, default_value_t = Depth::Png)]
@@ -104,15 +107,10 @@ impl From<BagCompression> for Compression {
 
 pub(super) fn run(args: &ImportArgs, quiet: bool) -> anyhow::Result<()> {
     let format = ImportFormat::from_str(&args.format).map_err(|e| Usage(e.to_string()))?;
-    let intrinsics_px = match args.intrinsics.as_deref() {
-        Some(&[fx, fy, cx, cy]) => Some([fx, fy, cx, cy]),
-        Some(_) => return Err(Usage("--intrinsics takes FX,FY,CX,CY".to_owned()).into()),
-        None => None,
-    };
     let options = ImportOptions {
         mesh: args.mesh.clone(),
         refined: args.refined,
-        intrinsics_px,
+        intrinsics_px: args.intrinsics,
         depth_output: match args.depth {
             Depth::Png => DepthOutput::Png16,
             Depth::Raw => DepthOutput::Raw,
@@ -124,6 +122,10 @@ pub(super) fn run(args: &ImportArgs, quiet: bool) -> anyhow::Result<()> {
         up: args.up,
         ..ImportOptions::default()
     };
+    interrupt::remove_when_interrupted({
+        let part = partial_path(&args.output);
+        move || vec![part.clone()]
+    });
     let progress = TerminalProgress::new(quiet);
     let mut steps = progress.counter("import frames");
     let summary = import(
@@ -134,12 +136,27 @@ pub(super) fn run(args: &ImportArgs, quiet: bool) -> anyhow::Result<()> {
         &mut |done, total| {
             steps.at(done, total);
         },
-    )?;
+    )
+    .map_err(|error| match error {
+        ImportError::Option { reason } => anyhow::Error::new(Usage(reason)),
+        other => other.into(),
+    })?;
     progress.finish();
     if !quiet {
         print_product(&closing_lines(&summary, args))?;
     }
     Ok(())
+}
+
+/// Four numbers between commas.
+fn four_numbers(text: &str) -> Result<[f64; 4], String> {
+    let numbers: Vec<f64> = text
+        .split(',')
+        .map(|part| part.trim().parse().map_err(|e| format!("'{part}': {e}")))
+        .collect::<Result<_, _>>()?;
+    numbers
+        .try_into()
+        .map_err(|all: Vec<f64>| format!("{} numbers, not 4", all.len()))
 }
 
 fn closing_lines(summary: &ImportSummary, args: &ImportArgs) -> String {

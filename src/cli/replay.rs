@@ -9,6 +9,7 @@ use std::time::Instant;
 use anyhow::Context;
 use clap::Args;
 
+use super::interrupt;
 use super::print_product;
 use super::progress::TerminalProgress;
 use super::settings::SettingsArgs;
@@ -49,6 +50,10 @@ pub(super) fn run(args: &ReplayArgs, quiet: bool) -> anyhow::Result<()> {
     // An unwritable folder should be known before the work, not after it.
     std::fs::create_dir_all(&args.out)
         .with_context(|| format!("cannot create the output folder {}", args.out.display()))?;
+    interrupt::remove_when_interrupted({
+        let out = args.out.clone();
+        move || export::atomic::partial_files(&out)
+    });
     let progress = TerminalProgress::new(quiet);
 
     let mut bag = BagReader::open(&args.bag, &config.topics)?;

@@ -7,8 +7,10 @@ use clap::{Args, ValueEnum};
 
 use super::Usage;
 use super::import::BagCompression;
+use super::interrupt;
 use super::print_product;
 use super::progress::TerminalProgress;
+use crate::bag::partial_path;
 use crate::export::{self, ExportParams, TexturedMesh};
 use crate::synth::{
     GroundTruth, SceneName, SynthColorFormat, SynthDepthFormat, SynthError, SynthNoise,
@@ -210,6 +212,15 @@ pub(super) fn run(args: &SynthArgs, quiet: bool) -> anyhow::Result<()> {
         noise: args.noise.resolve(),
         ..SynthOptions::default()
     };
+    interrupt::remove_when_interrupted({
+        let part = partial_path(&args.output);
+        let truth = args.truth.clone();
+        move || {
+            let exports = truth.as_deref().map(export::atomic::partial_files);
+            let exports = exports.unwrap_or_default();
+            exports.into_iter().chain([part.clone()]).collect()
+        }
+    });
     let progress = TerminalProgress::new(quiet);
     let mut steps = progress.counter("cast frames");
     let summary = synthesize(scene, &options, &args.output, &mut |done, total| {

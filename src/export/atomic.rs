@@ -68,6 +68,23 @@ pub fn write_atomic(
     Ok(())
 }
 
+/// The files that [`write_atomic`] has under way in an output folder and the folders in it: what a
+/// process that is told to stop has to remove.
+pub fn partial_files(folder: &Path) -> Vec<PathBuf> {
+    let entries = |folder: &Path| -> Vec<PathBuf> {
+        let entries = fs::read_dir(folder).into_iter().flatten().flatten();
+        entries.map(|entry| entry.path()).collect()
+    };
+    let is_partial = |path: &PathBuf| {
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        name.starts_with('.') && name.ends_with(".partial") && path.is_file()
+    };
+    let top = entries(folder);
+    let below = top.iter().filter(|path| path.is_dir());
+    let below: Vec<PathBuf> = below.flat_map(|path| entries(path)).collect();
+    top.into_iter().chain(below).filter(is_partial).collect()
+}
+
 fn partial_path(path: &Path) -> PathBuf {
     let mut name = OsString::from(".");
     name.push(path.file_name().unwrap_or_default());
@@ -101,6 +118,20 @@ mod tests {
         assert!(error.to_string().contains("scan.glb"), "{error}");
         assert_eq!(fs::read(&path).unwrap(), b"old");
         assert_eq!(names(folder.path()), ["scan.glb"]);
+    }
+
+    #[test]
+    fn files_under_way_are_found_where_they_lie() {
+        let folder = tempfile::tempdir().unwrap();
+        let page = folder.path().join("atlas/page_0.png");
+        write_atomic(&page, |out| {
+            let found = partial_files(folder.path());
+            assert_eq!(found, [partial_path(&page)]);
+            out.write_all(b"whole")
+        })
+        .unwrap();
+        assert!(partial_files(folder.path()).is_empty());
+        assert!(page.is_file());
     }
 
     #[test]

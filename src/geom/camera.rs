@@ -15,8 +15,11 @@ pub enum CameraError {
         /// Largest accepted side.
         max: u32,
     },
-    /// A focal length is not positive and finite, or the principal point is not finite.
-    #[error("camera matrix is invalid: fx {fx}, fy {fy}, cx {cx}, cy {cy}")]
+    /// A focal length is not positive and finite or cannot belong to the image's size (as when it
+    /// is given for an image of side 1), or the principal point is not finite.
+    #[error(
+        "camera matrix is invalid: fx {fx}, fy {fy}, cx {cx}, cy {cy} (focal lengths are 0.01 to 10000 times the image's longer side)"
+    )]
     Intrinsics {
         /// Focal length in x, pixels.
         fx: f64,
@@ -50,6 +53,10 @@ pub enum CameraError {
 /// Images have at most this many pixels a side: larger is a broken header, not a camera.
 pub const MAX_IMAGE_SIDE_PX: u32 = 1 << 14;
 
+/// Focal lengths in units of the longer side: from a field of view of 178° to one of 0.006°.
+const MIN_FOCAL_SIDES: f64 = 0.01;
+const MAX_FOCAL_SIDES: f64 = 1e4;
+
 /// An undistorted pinhole camera. The centre of the first pixel is (0, 0).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PinholeCamera {
@@ -75,7 +82,9 @@ impl PinholeCamera {
                 max: MAX_IMAGE_SIDE_PX,
             });
         }
-        let focal_ok = |f: f64| f.is_finite() && f > 0.0;
+        let side_px = f64::from(width.max(height));
+        let focal_ok =
+            |f: f64| (MIN_FOCAL_SIDES * side_px..=MAX_FOCAL_SIDES * side_px).contains(&f);
         if !focal_ok(fx) || !focal_ok(fy) || !cx.is_finite() || !cy.is_finite() {
             return Err(CameraError::Intrinsics { fx, fy, cx, cy });
         }
@@ -296,6 +305,18 @@ impl CameraModel {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn focal_lengths_that_no_camera_has_are_refused() {
+        for fx in [0.0, -500.0, 1e-300, 0.8, 1e300, f64::NAN, f64::INFINITY] {
+            let refused = PinholeCamera::new([fx, 500.0, 320.0, 240.0], 640, 480);
+            assert!(
+                matches!(refused, Err(CameraError::Intrinsics { .. })),
+                "{fx}"
+            );
+        }
+        assert!(PinholeCamera::new([10.0, 50_000.0, 320.0, 240.0], 640, 480).is_ok());
+    }
 
     #[test]
     fn projection_inverts_unprojection() {

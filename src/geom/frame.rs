@@ -20,6 +20,12 @@ pub enum FrameError {
         /// Translation as given, metres.
         translation: [f64; 3],
     },
+    /// So far away that millimetres are lost in the number.
+    #[error("translation {translation:?} is beyond {MAX_TRANSLATION_M:e} m")]
+    TooFar {
+        /// Translation as given, metres.
+        translation: [f64; 3],
+    },
     /// The quaternion's norm is not 1.
     #[error("rotation quaternion {quaternion_xyzw:?} has norm {norm}, not 1")]
     NotUnit {
@@ -49,6 +55,16 @@ pub struct RigidTransform {
 /// Quaternions published as float32 or rounded to a few decimals are off by less than this.
 const UNIT_TOLERANCE: f64 = 1e-2;
 
+/// Largest component of a translation: beyond the Moon, and a double still resolves a micrometre.
+const MAX_TRANSLATION_M: f64 = 1e9;
+
+fn check_translation(translation: [f64; 3]) -> Result<(), FrameError> {
+    if translation.iter().any(|m| m.abs() > MAX_TRANSLATION_M) {
+        return Err(FrameError::TooFar { translation });
+    }
+    Ok(())
+}
+
 impl RigidTransform {
     /// The transform that changes nothing.
     pub fn identity() -> Self {
@@ -60,8 +76,8 @@ impl RigidTransform {
     /// From a quaternion (x, y, z, w), as ROS orders it, and a translation in metres.
     ///
     /// # Errors
-    /// [`FrameError`] when a component is not finite or the quaternion's norm is more than 1 %
-    /// off 1 (an all-zero quaternion, the usual sign of an unset field, among them).
+    /// [`FrameError`] when a component is not finite, the translation beyond a million kilometres,
+    /// or the quaternion's norm more than 1 % off 1 (an all-zero quaternion, the usual sign of an unset field, among them).
     pub fn try_from_quaternion(
         quaternion_xyzw: [f64; 4],
         translation_m: [f64; 3],
@@ -76,6 +92,7 @@ impl RigidTransform {
                 translation: translation_m,
             });
         }
+        check_translation(translation_m)?;
         let [x, y, z, w] = quaternion_xyzw;
         let quaternion = Quaternion::new(w, x, y, z);
         let norm = quaternion.norm();
@@ -94,7 +111,8 @@ impl RigidTransform {
     /// From a row-major homogeneous 4×4 matrix, metres.
     ///
     /// # Errors
-    /// [`FrameError`] when a component is not finite or the 3×3 part is not a rotation within 1 %.
+    /// [`FrameError`] when a component is not finite, the translation beyond a million kilometres,
+    /// or the 3×3 part not a rotation within 1 %.
     pub fn try_from_matrix(rows: &[[f64; 4]; 4]) -> Result<Self, FrameError> {
         let translation = [rows[0][3], rows[1][3], rows[2][3]];
         if !rows.iter().flatten().all(|v| v.is_finite()) {
@@ -103,6 +121,7 @@ impl RigidTransform {
                 translation,
             });
         }
+        check_translation(translation)?;
         let rotation = Matrix3::from_fn(|r, c| rows[r][c]);
         let deviation = (rotation.transpose() * rotation - Matrix3::identity()).amax();
         let determinant = rotation.determinant();
@@ -201,6 +220,21 @@ impl Mul for RigidTransform {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn translations_in_which_millimetres_are_lost_are_refused() {
+        let unit = [0.0, 0.0, 0.0, 1.0];
+        for far in [-1.1e9, 1e300] {
+            let refused = RigidTransform::try_from_quaternion(unit, [0.0, far, 0.0]);
+            assert!(matches!(refused, Err(FrameError::TooFar { .. })));
+            let mut rows = [[0.0; 4]; 4];
+            (0..4).for_each(|i| rows[i][i] = 1.0);
+            rows[2][3] = far;
+            let refused = RigidTransform::try_from_matrix(&rows);
+            assert!(matches!(refused, Err(FrameError::TooFar { .. })));
+        }
+        assert!(RigidTransform::try_from_quaternion(unit, [6.4e6; 3]).is_ok());
+    }
 
     #[test]
     fn refuses_what_is_not_a_rotation() {

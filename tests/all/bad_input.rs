@@ -19,10 +19,10 @@ const POSE: &str = "/camera/pose";
 const MESH: &str = "/mesh";
 
 /// What becomes of one message: topic, number on its topic, bytes → the bytes to write, or none.
-type Edit<'a> = &'a dyn Fn(&str, usize, &[u8]) -> Option<Vec<u8>>;
+pub(crate) type Edit<'a> = &'a dyn Fn(&str, usize, &[u8]) -> Option<Vec<u8>>;
 
-/// Copies a bag message by message.
-fn rewrite(bag: &Path, name: &str, edit: Edit<'_>) -> PathBuf {
+/// Copies a bag message by message, and the description of its scene.
+pub(crate) fn rewrite(bag: &Path, name: &str, edit: Edit<'_>) -> PathBuf {
     let bytes = std::fs::read(bag).unwrap();
     let path = bag.with_file_name(name);
     let file = std::io::BufWriter::new(std::fs::File::create(&path).unwrap());
@@ -43,6 +43,12 @@ fn rewrite(bag: &Path, name: &str, edit: Edit<'_>) -> PathBuf {
             message.data = data.into();
             writer.write(&message).unwrap();
         }
+    }
+    let name = veneer::synth::METADATA_NAME;
+    if let Some(metadata) = veneer::bag::metadata(bag, name).unwrap() {
+        let name = name.to_owned();
+        let metadata = mcap::records::Metadata { name, metadata };
+        writer.write_metadata(&metadata).unwrap();
     }
     writer.finish().unwrap();
     path
@@ -353,11 +359,35 @@ fn wrong_usage_exits_with_2() {
     for args in [
         &["replay"][..],
         &["paint", bag],
+        &["replay", bag, "--out", "x", "--threads", "100000"],
         &["replay", bag, "--out", "x", "-p", "keyframe.budget_mbb:=1"],
         &["replay", bag, "--out", "x", "-p", "keyframe.budget_mb:=-1"],
         &["import", "scannet", ".", "-o", "x.mcap"],
+        &["import", "tum", ".", "-o", "x", "--intrinsics", "1,2,3"],
+        &["import", "tum", ".", "-o", "x", "--intrinsics", "1,2,3,x"],
+        &["import", "capture", ".", "-o", "x", "--intrinsics=1,2,3,4"],
+        &["import", "capture", ".", "-o", "x", "--min-confidence=9"],
     ] {
         let output = veneer(args);
         assert_eq!(output.status.code(), Some(2), "{args:?}: {}", said(&output));
     }
+}
+
+/// A rename puts a file where the device was: as root, for the whole machine.
+#[cfg(unix)]
+#[test]
+fn a_device_or_folder_is_not_replaced_by_a_bag() {
+    use std::os::unix::fs::FileTypeExt;
+    let dir = tempfile::tempdir().unwrap();
+    let pipe = dir.path().join("pipe");
+    let made = std::process::Command::new("mkfifo").arg(&pipe).status();
+    assert!(made.unwrap().success());
+    for target in [pipe.as_path(), dir.path()] {
+        let args = ["synth", "tabletop", "--frames", "1", "-o"].map(std::ffi::OsStr::new);
+        let output = veneer(&[&args[..], &[target.as_os_str()]].concat());
+        assert_eq!(output.status.code(), Some(1));
+        let words = said(&output);
+        assert!(words.contains("no file to be replaced"), "{words}");
+    }
+    assert!(std::fs::metadata(&pipe).unwrap().file_type().is_fifo());
 }

@@ -215,6 +215,21 @@ fn tum_round_trips_with_its_own_stamps() {
 }
 
 #[test]
+fn intrinsics_of_the_command_line_reach_the_bag() {
+    let tree = Tree::new();
+    tree.write_tum(&frames(3, 100_000, 250));
+    let (scan, out) = (tree.path("scan"), tree.path("out.mcap"));
+    let mut args = ["import", "tum", "--intrinsics", "500,501.5,320,241", "-o"]
+        .map(std::ffi::OsStr::new)
+        .to_vec();
+    args.extend([out.as_os_str(), scan.as_os_str()]);
+    crate::command::veneer_ok(&args);
+    let camera = &ReadBack::open(&out).color_infos[0].1;
+    let expected = [500.0, 501.5, 320.0, 241.0];
+    assert_eq!(camera.pinhole.intrinsics_px(), expected);
+}
+
+#[test]
 fn tum_associates_by_time() {
     let tree = Tree::new();
     let frames = frames(5, 100_000, 250);

@@ -251,6 +251,24 @@ fn density_is_lowered_until_the_budget_holds() {
 }
 
 #[test]
+fn a_mesh_of_absurd_size_still_finds_its_density() {
+    let (mut charts, num_triangles) = many_charts(100);
+    for corner in charts.iter_mut().flat_map(|c| &mut c.corners_m).flatten() {
+        *corner = corner.map(|m| m * 1e30);
+    }
+    let params = PackParams {
+        page_size_texel: 512,
+        max_texels: 1 << 18,
+        ..PackParams::default()
+    };
+    let density = texels_per_m_for_budget(&charts, 2000.0, &params).unwrap();
+    assert!(density < 1e-25, "{density}");
+    let (layout, report) = pack(&charts, num_triangles, density, &params).unwrap();
+    check(&charts, num_triangles, &layout, &params);
+    assert!(report.page_fill > 0.8, "{report:?}");
+}
+
+#[test]
 fn wrong_input_is_named() {
     let (mut charts, num_triangles) = many_charts(2);
     let params = PackParams::default();
