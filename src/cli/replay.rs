@@ -159,6 +159,9 @@ fn closing_lines(report: &report::Report, out: &Path, total_s: f64) -> String {
     if num_dropped > 0 {
         lines += &format!("{num_dropped} messages or frames left out; the report says why\n");
     }
+    if report.coverage.keyframe_share + report.coverage.mean_share == 0.0 {
+        lines += "warning: no frame sees the mesh; nothing of it was painted\n";
+    }
     for loss in &report.source.losses {
         lines += &format!("lost: {loss}\n");
     }

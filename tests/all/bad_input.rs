@@ -307,6 +307,11 @@ fn tiny_and_unseen_meshes_are_textured() {
     });
     let outcome = replay(&unseen);
     outcome.assert_succeeds();
+    assert!(
+        outcome.text.contains("no frame sees the mesh"),
+        "{}",
+        outcome.text
+    );
     assert_eq!(outcome.report.unwrap()["coverage"]["keyframe_share"], 0.0);
 }
 
