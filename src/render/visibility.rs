@@ -67,9 +67,17 @@ pub struct VisibilityBuffer {
     /// Greatest depth within the window; 0 where it is empty.
     farthest_m: Vec<f32>,
     scratch_m: Vec<f32>,
+    /// Greatest depth within each block of the view; infinite where a pixel of it is empty.
+    block_farthest_m: Vec<f32>,
     scale: [f64; 2],
     params: VisibilityParams,
 }
+
+/// Side of the blocks that [`VisibilityBuffer::hides_all`] looks at, pixels of the buffer.
+const BLOCK_PX: usize = 8;
+
+/// Triangles over more blocks than this are not looked at.
+const MAX_BLOCKS: usize = 64;
 
 impl VisibilityBuffer {
     /// Draws the mesh as `camera` sees it.
@@ -97,6 +105,7 @@ impl VisibilityBuffer {
             f64::from(height) / f64::from(camera.height()),
         ];
         self.params = params.clone();
+        self.fill_blocks();
         if params.edge_margin_px > 0 {
             self.spread_extremes();
         }
@@ -136,6 +145,77 @@ impl VisibilityBuffer {
             let farthest_m = f64::from(self.farthest_m[index]);
             nearest_m + step_m < point.depth_m || farthest_m > point.depth_m + step_m
         })
+    }
+
+    /// Whether every point of a triangle is hidden, or outside of the image: then
+    /// [`Self::is_visible`] is false for all of them. A quick test that says no when in doubt.
+    /// Corners are in pixels of the full-size camera, all in front of it.
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "clamped to the buffer before the casts"
+    )]
+    pub fn hides_all(&self, corners_px: &[[f64; 2]; 3], nearest_m: f64, slope_m: f64) -> bool {
+        let sides = [self.view.width, self.view.height].map(f64::from);
+        let mut blocks = [[0usize; 2]; 2];
+        for axis in 0..2 {
+            let values = corners_px.map(|corner| (corner[axis] + 0.5) * self.scale[axis]);
+            let low = values.into_iter().fold(f64::INFINITY, f64::min) - 1.0;
+            let high = values.into_iter().fold(f64::NEG_INFINITY, f64::max) + 1.0;
+            if !(low.is_finite() && high.is_finite()) {
+                return false;
+            }
+            if high < 0.0 || low >= sides[axis] {
+                return true;
+            }
+            let block = |v: f64| v.clamp(0.0, sides[axis] - 1.0) as usize / BLOCK_PX;
+            blocks[axis] = [block(low), block(high)];
+        }
+        let [[left, right], [top, bottom]] = blocks;
+        if (right - left + 1) * (bottom - top + 1) > MAX_BLOCKS {
+            return false;
+        }
+        let reach = SurfacePoint {
+            position_px: [0.0; 2],
+            depth_m: nearest_m,
+            slope_m,
+        };
+        // The tolerance grows more slowly than depth (a share below 1), so the nearest point is the
+        // last to be hidden.
+        let bound_m = nearest_m - self.tolerance_m(&reach, 1.5);
+        let columns = (self.view.width as usize).div_ceil(BLOCK_PX);
+        self.params.relative_tolerance < 1.0
+            && (top..=bottom).all(|row| {
+                self.block_farthest_m[row * columns + left..=row * columns + right]
+                    .iter()
+                    .all(|&farthest_m| f64::from(farthest_m) < bound_m)
+            })
+    }
+
+    fn fill_blocks(&mut self) {
+        let width = self.view.width as usize;
+        let columns = width.div_ceil(BLOCK_PX);
+        self.block_farthest_m.clear();
+        if width == 0 {
+            return;
+        }
+        for rows in self.view.depth_m.chunks(BLOCK_PX * width) {
+            let start = self.block_farthest_m.len();
+            self.block_farthest_m.resize(start + columns, 0.0);
+            let blocks = &mut self.block_farthest_m[start..];
+            for row in rows.chunks_exact(width) {
+                for (block, pixels) in blocks.iter_mut().zip(row.chunks(BLOCK_PX)) {
+                    for &depth_m in pixels {
+                        let depth_m = if depth_m > 0.0 {
+                            depth_m
+                        } else {
+                            f32::INFINITY
+                        };
+                        *block = block.max(depth_m);
+                    }
+                }
+            }
+        }
     }
 
     fn tolerance_m(&self, point: &SurfacePoint, reach_px: f64) -> f64 {
@@ -323,6 +403,47 @@ mod tests {
             };
             assert!(!buffer.is_visible(&outside));
         }
+    }
+
+    proptest! {
+        /// The quick test never contradicts the exact one, and finds what lies well behind.
+        #[test]
+        fn what_is_hidden_as_a_whole_is_hidden_everywhere(
+            center in [-1.5..1.5f64, -1.5..1.5f64],
+            depth_m in 1.5..4.0f64,
+            size_m in 0.01..0.6f64,
+            slope_m in 0.0..0.01f64,
+        ) {
+            let camera = PinholeCamera::new([300.0, 300.0, 160.0, 120.0], 320, 240).unwrap();
+            let buffer = buffer(&camera);
+            let corners = [[0.0, 0.0], [size_m, 0.0], [0.0, size_m]]
+                .map(|[x, y]| Point3::new(center[0] + x, center[1] + y, depth_m));
+            let px = corners.map(|p| camera.project(&p).unwrap());
+            if buffer.hides_all(&px, depth_m, slope_m) {
+                for i in 0..=10 {
+                    for j in 0..=10 - i {
+                        let (u, v) = (f64::from(i) / 10.0, f64::from(j) / 10.0);
+                        let at = corners[0] + (corners[1] - corners[0]) * u
+                            + (corners[2] - corners[0]) * v;
+                        let point = SurfacePoint {
+                            slope_m,
+                            ..seen(&camera, [at.x, at.y, at.z])
+                        };
+                        prop_assert!(!buffer.is_visible(&point));
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_triangle_behind_the_wall_is_hidden_as_a_whole() {
+        let camera = PinholeCamera::new([300.0, 300.0, 160.0, 120.0], 320, 240).unwrap();
+        let buffer = buffer(&camera);
+        let corners_px = [[100.0, 100.0], [120.0, 100.0], [100.0, 120.0]];
+        assert!(buffer.hides_all(&corners_px, 3.5, 0.001));
+        assert!(!buffer.hides_all(&corners_px, 3.0, 0.001));
+        assert!(!buffer.hides_all(&corners_px, 3.5, f64::INFINITY));
     }
 
     #[test]

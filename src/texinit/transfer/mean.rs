@@ -189,6 +189,12 @@ fn add_triangle(
     else {
         return;
     };
+    let nearest_m = corners.iter().map(|p| p.z).fold(f64::INFINITY, f64::min);
+    if let [Some(a), Some(b), Some(c)] = corners.map(|p| camera.project(&p))
+        && visibility.hides_all(&[a, b, c], nearest_m, sampler.slope_m())
+    {
+        return;
+    }
     let depth = look.frame.depth.as_ref().map(DepthProbe::new);
     let mut sums = sums.iter_mut();
     for_each_texel_within(corners_texel, layout.page_size_texel, |_, _, weights| {

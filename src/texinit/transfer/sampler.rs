@@ -89,6 +89,11 @@ impl TriangleSampler {
         })
     }
 
+    /// Change of depth per pixel, metres.
+    pub(super) fn slope_m(&self) -> f64 {
+        self.slope_m
+    }
+
     /// How far the image's colours can be trusted here.
     #[expect(
         clippy::cast_possible_truncation,
