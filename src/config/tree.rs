@@ -106,6 +106,8 @@ pub const PARAMETERS: &[Parameter] = &[
         Float(|c| &mut c.pipeline.texinit.flatten.max_quasi_conformal_mean, 1.0, 100.0)),
     row("texinit.chart.max_stretch", "", "Charts in which lengths grow or shrink by more are split.",
         Float(|c| &mut c.pipeline.texinit.flatten.max_stretch, 1.0, 100.0)),
+    row("texinit.chart.max_cones", "", "Most cones in a whole component (mode paper).",
+        Count(|c| &mut c.pipeline.texinit.flatten.max_cones, 0, 10_000)),
     row("texinit.overlap.max_sweeps", "", "Sweeps of dual coordinate descent that separate overlaps.",
         Count(|c| &mut c.pipeline.texinit.overlap.max_sweeps, 0, 1000)),
     row("texinit.area_weight", "1/px²", "ω1: weight of the projected area (cue C1).",

@@ -7,9 +7,10 @@
 //! - [`ChartMode::Streaming`]: charts of bounded normal deviation, size and roughness
 //!   ([`charts`]); a flattening that is flipped or distorted past the bounds is slit to where it
 //!   shrinks most, and where that does not help split, and tried again. Single triangles that are
-//!   flipped or crushed in a good flattening become charts of their own. [`ChartMode::Paper`]: one chart per connected component; closed surfaces and handles
-//!   are cut along shortest paths (no cones yet: a closed component is strongly distorted), and
-//!   only what cannot be solved is split; flipped triangles become charts of their own.
+//!   flipped or crushed in a good flattening become charts of their own.
+//! - [`ChartMode::Paper`]: one chart per connected component. Closed surfaces and handles are cut
+//!   through generators and [`cones`]; only what cannot be solved is split; flipped triangles become
+//!   charts of their own.
 //! - Holes inside a chart are filled for the solve only ([`cut`]).
 //! - Triangles that name a position twice join the chart of a neighbour along their one edge, with
 //!   that edge's flat ends, else they are charts of their own.
@@ -25,6 +26,7 @@
 pub(crate) mod bff;
 pub(crate) mod chart_solve;
 pub(crate) mod charts;
+pub(crate) mod cones;
 pub(crate) mod cut;
 pub(crate) mod distortion;
 pub(crate) mod faces;
@@ -87,6 +89,8 @@ pub struct FlattenParams {
     /// Largest share of a chart's area that may be flipped triangles, [0, 1]; up to it they leave
     /// the chart, beyond it the chart is slit or split.
     pub max_flipped_share: f64,
+    /// Most cones in a whole component ([`ChartMode::Paper`]); 0 places none.
+    pub max_cones: usize,
 }
 
 impl Default for FlattenParams {
@@ -102,6 +106,7 @@ impl Default for FlattenParams {
             max_quasi_conformal_mean: 1.5,
             max_stretch: 2.0,
             max_flipped_share: 0.005,
+            max_cones: 100,
         }
     }
 }

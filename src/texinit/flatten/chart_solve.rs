@@ -1,12 +1,13 @@
 //! From one piece to flat charts: disk, flatten, judge, and split where the result is not good.
 
-use super::bff::{BffError, FlatDisk, flatten_disk};
-use super::cut::{Disk, make_disk, slit};
+use super::bff::{BffError, Boundary, FlatDisk, flatten_disk};
+use super::cones::place_cones;
+use super::cut::{Disk, Surface, make_disk, slit};
 use super::distortion::{Stretch, stretch, summarize};
 use super::judge::{Rejected, judge, must_leave, scale_to_area};
 use super::piece::Piece;
 use super::split::{around_blamed, halves};
-use super::{FlatChart, FlattenParams};
+use super::{ChartMode, FlatChart, FlattenParams};
 use crate::mesh::components::components_within;
 use crate::mesh::{Manifold, TriMesh, TriangleId};
 use nalgebra::Point3;
@@ -27,6 +28,8 @@ pub struct SolveCounts {
     pub num_filled_holes: usize,
     /// Edges cut to make disks.
     pub num_cut_edges: usize,
+    /// Cones placed in whole components.
+    pub num_cones: usize,
     /// Slits to where charts shrank too much.
     pub num_slits: usize,
     /// Pieces split because no disk could be made of them.
@@ -45,6 +48,7 @@ impl SolveCounts {
     pub(crate) fn add(&mut self, other: &Self) {
         self.num_filled_holes += other.num_filled_holes;
         self.num_cut_edges += other.num_cut_edges;
+        self.num_cones += other.num_cones;
         self.num_slits += other.num_slits;
         self.num_split_for_topology += other.num_split_for_topology;
         self.num_split_for_solver += other.num_split_for_solver;
@@ -60,6 +64,7 @@ struct Flat {
     stretches: Vec<Option<Stretch>>,
     num_filled_holes: usize,
     num_cut_edges: usize,
+    num_cones: usize,
     num_slits: usize,
 }
 
@@ -79,6 +84,7 @@ pub(crate) fn flatten_piece(
             Ok(flat) => {
                 counts.num_filled_holes += flat.num_filled_holes;
                 counts.num_cut_edges += flat.num_cut_edges;
+                counts.num_cones += flat.num_cones;
                 counts.num_slits += flat.num_slits;
                 emit(
                     &piece,
@@ -137,14 +143,21 @@ fn try_flatten(
             corners_m,
             num_filled_holes: 0,
             num_cut_edges: 0,
+            num_cones: 0,
             num_slits: 0,
         });
+    }
+    if params.mode == ChartMode::Paper
+        && params.max_cones > 0
+        && let Some(flat) = flatten_with_cones(piece, surface, params)
+    {
+        return Ok(flat);
     }
     let mut disk = make_disk(surface.to_vec(), piece.mates.clone()).ok_or(Rejected::NotADisk)?;
     let max_slits = (1 + piece.len() / TRIANGLES_PER_SLIT).min(MAX_SLITS);
     let mut num_slits = 0;
     loop {
-        let flat = flatten_disk(&disk).map_err(|error| {
+        let flat = flatten_disk(&disk, Boundary::Isometric).map_err(|error| {
             log_failure(piece, &error);
             Rejected::Solver
         })?;
@@ -159,6 +172,28 @@ fn try_flatten(
         disk = slit_disk.ok_or(rejected)?;
         num_slits += 1;
     }
+}
+
+/// A whole component, cut through generators and cones, lengths along the cut kept; none where that cannot be done, which a cut without cones
+/// or a split then mends.
+fn flatten_with_cones(
+    piece: &Piece,
+    surface_m: &[[Point3<f64>; 3]],
+    params: &FlattenParams,
+) -> Option<Flat> {
+    let surface = Surface::filled(surface_m.to_vec(), piece.mates.clone());
+    let (surface, num_handle_edges) = surface.without_handles();
+    let cones = place_cones(&surface, params.max_cones)?;
+    let mut disk = surface.cut_open(&cones.vertices)?;
+    disk.num_cut_edges += num_handle_edges;
+    let flat = flatten_disk(&disk, Boundary::Isometric)
+        .inspect_err(|error| log_failure(piece, error))
+        .ok()?;
+    let flat = accept(&disk, &flat, surface_m, params).ok()?;
+    Some(Flat {
+        num_cones: cones.vertices.len(),
+        ..flat
+    })
 }
 
 /// The piece's triangles in the plane, if good enough.
@@ -184,6 +219,7 @@ fn accept(
         stretches,
         num_filled_holes: disk.num_filled_holes,
         num_cut_edges: disk.num_cut_edges,
+        num_cones: 0,
         num_slits: 0,
     })
 }

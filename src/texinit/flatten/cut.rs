@@ -59,6 +59,137 @@ pub(crate) fn make_disk(mut corners_m: Vec<[Point3<f64>; 3]>, mut mates: Vec<u32
     })
 }
 
+/// A connected piece before it is cut: any number of boundary loops and handles. The first
+/// `num_real` triangles are the piece's, the others fill holes.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Surface {
+    pub(crate) num_real: usize,
+    pub(crate) corners_m: Vec<[Point3<f64>; 3]>,
+    pub(crate) mates: Vec<u32>,
+    pub(crate) vertices: Vec<[u32; 3]>,
+    pub(crate) num_vertices: usize,
+    pub(crate) num_filled_holes: usize,
+}
+
+impl Surface {
+    /// Fills holes as the authors' program does: of a surface without handles all loops but the
+    /// longest, and that too when it is shorter than half the diameter; of one with handles all.
+    pub(crate) fn filled(mut corners_m: Vec<[Point3<f64>; 3]>, mut mates: Vec<u32>) -> Self {
+        let num_real = corners_m.len();
+        let (_, num_vertices) = vertices_of_corners(&mates);
+        let loops = boundary_loops(&mates);
+        let num_loops = i64::try_from(loops.len()).unwrap_or(i64::MAX);
+        // χ = 2 − 2 · handles − loops.
+        let has_handles = euler_characteristic(num_vertices, &mates) + num_loops < 2;
+        let length =
+            |hole: &Vec<u32>| -> f64 { hole.iter().map(|&h| edge_length(&corners_m, h)).sum() };
+        let lengths: Vec<f64> = loops.iter().map(length).collect();
+        let mut longest = 0;
+        for (i, length) in lengths.iter().enumerate() {
+            if *length > lengths[longest] {
+                longest = i;
+            }
+        }
+        let short = 0.5 * diameter_m(&corners_m);
+        let mut num_filled_holes = 0;
+        for (i, hole) in loops.iter().enumerate() {
+            if has_handles || i != longest || lengths[i] < short {
+                fill(&mut corners_m, &mut mates, hole);
+                num_filled_holes += 1;
+            }
+        }
+        let (vertices, num_vertices) = vertices_of_corners(&mates);
+        Self {
+            num_real,
+            corners_m,
+            mates,
+            vertices,
+            num_vertices: num_vertices as usize,
+            num_filled_holes,
+        }
+    }
+
+    /// Vertices on the boundary, loop by loop.
+    pub(crate) fn boundary_vertices(&self) -> Vec<usize> {
+        let start = |h: u32| self.vertices[h as usize / 3][h as usize % 3] as usize;
+        boundary_loops(&self.mates)
+            .into_iter()
+            .flatten()
+            .map(start)
+            .collect()
+    }
+
+    /// Cut along the generators of its handles; nothing changes on a disk or a sphere.
+    pub(crate) fn without_handles(mut self) -> (Self, usize) {
+        let graph = VertexGraph::new(
+            &self.corners_m,
+            &self.mates,
+            &self.vertices,
+            self.num_vertices,
+        );
+        let is_cut = mark_cut(&self.corners_m, &self.mates, &graph);
+        let num_cut_edges = separate(&mut self.mates, &is_cut);
+        let (vertices, num_vertices) = vertices_of_corners(&self.mates);
+        self.vertices = vertices;
+        self.num_vertices = num_vertices as usize;
+        (self, num_cut_edges)
+    }
+
+    /// The disk that remains when handles are cut and the cut is led through the `terminals`: each
+    /// in turn, the nearest first, is joined to what is cut already by a shortest path (Takahashi
+    /// and Matsuyama 1980; at most twice the shortest such tree). None when it is no disk.
+    pub(crate) fn cut_open(&self, terminals: &[usize]) -> Option<Disk> {
+        let graph = VertexGraph::new(
+            &self.corners_m,
+            &self.mates,
+            &self.vertices,
+            self.num_vertices,
+        );
+        let mut is_cut = mark_cut(&self.corners_m, &self.mates, &graph);
+        let mut tree = self.boundary_vertices();
+        for (h, _) in (0_u32..).zip(&is_cut).filter(|(_, is_cut)| **is_cut) {
+            tree.extend(graph.ends(h));
+        }
+        if tree.is_empty() {
+            tree.extend(terminals.first());
+        }
+        graph.join_terminals(&tree, terminals, &mut is_cut);
+        if tree.len() == 1 && is_cut.iter().all(|is_cut| !is_cut) {
+            mark_slit(&graph, tree[0], &mut is_cut);
+        }
+        let mut mates = self.mates.clone();
+        let num_cut_edges = separate(&mut mates, &is_cut);
+        let (vertices, num_vertices) = vertices_of_corners(&mates);
+        let mut loops = boundary_loops(&mates);
+        if loops.len() != 1 || euler_characteristic(num_vertices, &mates) != 1 {
+            return None;
+        }
+        Some(Disk {
+            num_real: self.num_real,
+            corners_m: self.corners_m.clone(),
+            mates,
+            vertices,
+            num_vertices: num_vertices as usize,
+            boundary: loops.pop()?,
+            num_filled_holes: self.num_filled_holes,
+            num_cut_edges,
+        })
+    }
+}
+
+/// Diagonal of the box around the triangles.
+fn diameter_m(corners_m: &[[Point3<f64>; 3]]) -> f64 {
+    let (mut low, mut high) = ([f64::MAX; 3], [f64::MIN; 3]);
+    for point in corners_m.iter().flatten() {
+        for axis in 0..3 {
+            low[axis] = low[axis].min(point[axis]);
+            high[axis] = high[axis].max(point[axis]);
+        }
+    }
+    let squares = (0..3).map(|axis| (high[axis] - low[axis]).powi(2));
+    squares.sum::<f64>().sqrt()
+}
+
 /// The disk slit open along the shortest path from an interior vertex to its boundary.
 pub(crate) fn slit(disk: &Disk, vertex: usize) -> Option<Disk> {
     let graph = VertexGraph::new(
@@ -175,44 +306,54 @@ fn fill(corners_m: &mut Vec<[Point3<f64>; 3]>, mates: &mut Vec<u32>, hole: &[u32
     }
 }
 
-/// Cuts mates along the tree–cotree graph; returns how many edges were cut.
+/// Cuts mates along the tree–cotree graph, or slits a sphere; returns how many edges were cut.
 fn cut(
     corners_m: &[[Point3<f64>; 3]],
     mates: &mut [u32],
     vertices: &[[u32; 3]],
     num_vertices: usize,
 ) -> usize {
-    let vertex = |h: u32| vertices[h as usize / 3][h as usize % 3] as usize;
+    let graph = VertexGraph::new(corners_m, mates, vertices, num_vertices);
+    let mut is_cut = mark_cut(corners_m, mates, &graph);
+    let is_closed = mates.iter().all(|mate| *mate != NO_HALF_EDGE);
+    if is_closed && num_vertices > 0 && is_cut.iter().all(|c| !c) {
+        mark_slit(&graph, 0, &mut is_cut);
+    }
+    separate(mates, &is_cut)
+}
+
+/// Marks the tree–cotree graph: nothing on a disk or a sphere.
+fn mark_cut(corners_m: &[[Point3<f64>; 3]], mates: &[u32], graph: &VertexGraph) -> Vec<bool> {
     let mut roots: Vec<usize> = (0_u32..)
         .zip(mates.iter())
         .filter(|(_, mate)| **mate == NO_HALF_EDGE)
-        .map(|(h, _)| vertex(h))
+        .map(|(h, _)| graph.ends(h)[0])
         .collect();
-    let is_closed = roots.is_empty();
-    if is_closed && num_vertices > 0 {
+    if roots.is_empty() && !mates.is_empty() {
         roots.push(0);
     }
-    let graph = VertexGraph::new(corners_m, mates, vertices, num_vertices);
     let forest = graph.shortest_paths(&roots);
-    let crossed = cotree(corners_m, mates, &graph, &forest);
+    let crossed = cotree(corners_m, mates, graph, &forest);
     let mut is_cut = vec![false; mates.len()];
     for (h, &mate) in (0_u32..).zip(mates.iter()) {
-        if mate == NO_HALF_EDGE || mate < h || forest.holds(&graph, h, mate) {
+        if mate == NO_HALF_EDGE || mate < h || forest.holds(graph, h, mate) {
             continue;
         }
         if !crossed[h as usize] {
             is_cut[h as usize] = true;
-            for end in [vertex(h), vertex(next(h))] {
-                forest.mark_path(&graph, end, &mut is_cut);
+            for end in graph.ends(h) {
+                forest.mark_path(graph, end, &mut is_cut);
             }
         }
     }
-    if is_closed && is_cut.iter().all(|c| !c) {
-        let far = forest.farthest();
-        let slit = graph.shortest_paths(&[far]);
-        slit.mark_path(&graph, slit.farthest(), &mut is_cut);
-    }
-    separate(mates, &is_cut)
+    is_cut
+}
+
+/// Marks the path from the vertex farthest from `from` to the one farthest from that.
+fn mark_slit(graph: &VertexGraph, from: usize, is_cut: &mut [bool]) {
+    let far = graph.shortest_paths(&[from]).farthest();
+    let slit = graph.shortest_paths(&[far]);
+    slit.mark_path(graph, slit.farthest(), is_cut);
 }
 
 /// Parts the marked half-edges from their mates; returns how many edges that were.
@@ -341,6 +482,53 @@ impl<'a> VertexGraph<'a> {
             }
         }
         forest
+    }
+
+    /// Marks, for each terminal, the shortest path to `tree` and the paths marked before. A found
+    /// path becomes part of the tree at distance 0, and distances only shrink from there.
+    fn join_terminals(&self, tree: &[usize], terminals: &[usize], is_cut: &mut [bool]) {
+        let num_vertices = self.row_starts.len() - 1;
+        let mut is_terminal = vec![false; num_vertices];
+        for &terminal in terminals {
+            is_terminal[terminal] = true;
+        }
+        let mut forest = Forest {
+            distance: vec![f64::MAX; num_vertices],
+            parent_edge: vec![NO_HALF_EDGE; num_vertices],
+        };
+        let mut heap = BinaryHeap::new();
+        for &root in tree {
+            forest.distance[root] = 0.0;
+            is_terminal[root] = false;
+            heap.push(Reverse((0_u64, root)));
+        }
+        while let Some(Reverse((bits, vertex))) = heap.pop() {
+            if f64::from_bits(bits) > forest.distance[vertex] {
+                continue;
+            }
+            if std::mem::replace(&mut is_terminal[vertex], false) {
+                let mut at = vertex;
+                while forest.parent_edge[at] != NO_HALF_EDGE {
+                    let h = std::mem::replace(&mut forest.parent_edge[at], NO_HALF_EDGE);
+                    is_cut[h as usize] = true;
+                    forest.distance[at] = 0.0;
+                    is_terminal[at] = false;
+                    heap.push(Reverse((0_u64, at)));
+                    let [a, b] = self.ends(h);
+                    at = if a == at { b } else { a };
+                }
+            }
+            let distance = forest.distance[vertex];
+            let row = self.row_starts[vertex]..self.row_starts[vertex + 1];
+            for &(neighbor, h, length) in &self.entries[row] {
+                let through = distance + length;
+                if through < forest.distance[neighbor] {
+                    forest.distance[neighbor] = through;
+                    forest.parent_edge[neighbor] = h;
+                    heap.push(Reverse((through.to_bits(), neighbor)));
+                }
+            }
+        }
     }
 }
 

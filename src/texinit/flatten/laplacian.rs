@@ -11,7 +11,8 @@
 //! [`MIN_SLACK`]. It is zero unless some triangle is nearly collinear. Weights may be negative;
 //! `A` stays semi-definite since every triangle is a true one.
 
-use super::cut::Disk;
+use nalgebra::Point3;
+
 use crate::mesh::adjacency::NO_HALF_EDGE;
 
 /// Least excess of two sides over the third, in mean edge lengths.
@@ -32,9 +33,8 @@ pub(crate) struct Metric {
 
 impl Metric {
     /// None when lengths are not finite or all zero.
-    pub(crate) fn new(disk: &Disk) -> Option<Self> {
-        let mut lengths: Vec<[f64; 3]> = disk
-            .corners_m
+    pub(crate) fn new(corners_m: &[[Point3<f64>; 3]]) -> Option<Self> {
+        let mut lengths: Vec<[f64; 3]> = corners_m
             .iter()
             .map(|[a, b, c]| [(b - a).norm(), (c - b).norm(), (a - c).norm()])
             .collect();
@@ -86,17 +86,21 @@ fn heron_area(mut sides: [f64; 3]) -> f64 {
     0.25 * product.max(0.0).sqrt()
 }
 
-/// The off-diagonal weights of `A`: each edge of the disk once, as (vertex, vertex, ½ Σ cot).
-pub(crate) fn edge_weights(disk: &Disk, metric: &Metric) -> Vec<(u32, u32, f64)> {
+/// The off-diagonal weights of `A`: each edge once, as (vertex, vertex, ½ Σ cot).
+pub(crate) fn edge_weights(
+    mates: &[u32],
+    vertices: &[[u32; 3]],
+    metric: &Metric,
+) -> Vec<(u32, u32, f64)> {
     let opposite = |h: u32| metric.cotangents[h as usize / 3][(h as usize % 3 + 2) % 3];
-    let mut weights = Vec::with_capacity(disk.mates.len() / 2 + disk.boundary.len());
-    for (h, &mate) in (0_u32..).zip(&disk.mates) {
+    let mut weights = Vec::with_capacity(mates.len() / 2 + 1);
+    for (h, &mate) in (0_u32..).zip(mates) {
         let across = match mate {
             NO_HALF_EDGE => 0.0,
             mate if mate < h => continue,
             mate => opposite(mate),
         };
-        let corners = disk.vertices[h as usize / 3];
+        let corners = vertices[h as usize / 3];
         let k = h as usize % 3;
         let [a, b] = [corners[k], corners[(k + 1) % 3]];
         if a != b {

@@ -132,6 +132,35 @@ impl Solver {
     }
 }
 
+/// The Dirichlet problem alone, boundary values zero: for components of any size.
+pub(crate) struct InteriorSolver {
+    factor: Cholesky,
+}
+
+impl InteriorSolver {
+    /// As [`Solver::new`].
+    pub(crate) fn new(
+        num_interior: usize,
+        num_vertices: usize,
+        weights: &[(u32, u32, f64)],
+    ) -> Result<Self, SolverError> {
+        let mut diagonal = vec![0.0; num_vertices];
+        for &(a, b, weight) in weights {
+            diagonal[a as usize] += weight;
+            diagonal[b as usize] += weight;
+        }
+        let place: Vec<u32> = (0_u32..).take(num_vertices).collect();
+        let matrix = UpperMatrix::new(&diagonal, weights, &place, num_interior);
+        let factor = Cholesky::new(&matrix, SymmetricOrdering::Amd, SupernodalThreshold::AUTO)?;
+        Ok(Self { factor })
+    }
+
+    /// Replaces a load per interior vertex by the solution.
+    pub(crate) fn solve(&self, load: &mut [f64]) {
+        self.factor.solve(load);
+    }
+}
+
 /// Row of each interior vertex in the AMD order of the interior block.
 fn interior_order(
     diagonal: &[f64],

@@ -5,7 +5,7 @@ use std::f64::consts::{FRAC_PI_2, TAU};
 use nalgebra::Point3;
 use proptest::prelude::*;
 
-use super::bff::flatten_disk;
+use super::bff::{Boundary, flatten_disk};
 use super::cut::{euler_characteristic, make_disk};
 use super::laplacian::{Metric, edge_weights};
 use super::*;
@@ -45,9 +45,12 @@ fn noise(seed: u32) -> f64 {
     f64::from(x) / f64::from(u32::MAX) * 2.0 - 1.0
 }
 
+mod whole_components;
+
 fn whole() -> FlattenParams {
     FlattenParams {
         mode: ChartMode::Paper,
+        max_cones: 0,
         ..Default::default()
     }
 }
@@ -245,7 +248,7 @@ fn flat_disk(surface: &TriMesh) -> (cut::Disk, Vec<[f64; 2]>) {
         .map(|t| manifold.oriented_corners_m(surface, t))
         .collect();
     let disk = make_disk(corners, manifold.mates().to_vec()).unwrap();
-    let flat = flatten_disk(&disk).unwrap().points_m;
+    let flat = flatten_disk(&disk, Boundary::Isometric).unwrap().points_m;
     let mut points = vec![[f64::NAN; 2]; surface.num_vertices()];
     for (local, global) in disk.vertices.iter().zip(surface.triangles()) {
         for k in 0..3 {
@@ -256,7 +259,7 @@ fn flat_disk(surface: &TriMesh) -> (cut::Disk, Vec<[f64; 2]>) {
 }
 
 fn boundary_points(disk: &cut::Disk, _points: &[[f64; 2]]) -> Vec<[f64; 2]> {
-    let flat = flatten_disk(disk).unwrap().points_m;
+    let flat = flatten_disk(disk, Boundary::Isometric).unwrap().points_m;
     disk.boundary
         .iter()
         .map(|&h| flat[disk.vertices[h as usize / 3][h as usize % 3] as usize])
@@ -267,9 +270,9 @@ fn boundary_points(disk: &cut::Disk, _points: &[[f64; 2]]) -> Vec<[f64; 2]> {
 fn gauss_bonnet_holds() {
     for surface in [noisy_plane(9), cap(8, 2.0, 0.02)] {
         let (disk, _) = flat_disk(&surface);
-        let metric = Metric::new(&disk).unwrap();
+        let metric = Metric::new(&disk.corners_m).unwrap();
         let numbering = bff::Numbering::new(&disk);
-        let curvature = bff::Curvature::new(&disk, &metric, &numbering);
+        let curvature = bff::Curvature::new(&disk.vertices, &metric, &numbering);
         let total: f64 = curvature.interior.iter().chain(&curvature.boundary).sum();
         assert!((total - TAU).abs() < 1e-9, "{total}");
     }
@@ -304,7 +307,7 @@ fn the_laplacian_measures_dirichlet_energy() {
         [f64::from(i) + 0.3 * noise(i + 31 * j), f64::from(j), 0.0]
     });
     let (disk, _) = flat_disk(&plane);
-    let metric = Metric::new(&disk).unwrap();
+    let metric = Metric::new(&disk.corners_m).unwrap();
     let x: Vec<f64> = {
         let mut x = vec![0.0; disk.num_vertices];
         for (vertices, corners) in disk.vertices.iter().zip(&disk.corners_m) {
@@ -314,7 +317,7 @@ fn the_laplacian_measures_dirichlet_energy() {
         }
         x
     };
-    let energy: f64 = edge_weights(&disk, &metric)
+    let energy: f64 = edge_weights(&disk.mates, &disk.vertices, &metric)
         .iter()
         .map(|&(a, b, w)| w * (x[a as usize] - x[b as usize]).powi(2))
         .sum();
@@ -600,4 +603,30 @@ fn apartment_capture() {
 #[test]
 fn marker_board_capture() {
     check_capture("charuco_lidar/mesh.ply");
+}
+
+/// Whole components of the apartment: what cones change.
+#[test]
+#[ignore = "a measurement"]
+#[expect(clippy::print_stdout, reason = "a measurement is there to be read")]
+fn apartment_through_cones() {
+    let Some(mesh) = read_ply("../shared/data/apt0_structure/mesh.ply") else {
+        return;
+    };
+    for max_cones in [0, 100, 400] {
+        let start = Instant::now();
+        let params = FlattenParams {
+            max_cones,
+            ..whole()
+        };
+        let report = flatten(&mesh, &params).unwrap().report;
+        println!(
+            "{max_cones}: {:.2} s, {} charts, {} cones, seams {:.1} m, {:?}",
+            start.elapsed().as_secs_f64(),
+            report.num_charts,
+            report.solve.num_cones,
+            report.seam_length_m,
+            report.distortion
+        );
+    }
 }
