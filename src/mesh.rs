@@ -4,10 +4,12 @@ pub mod adjacency;
 pub mod components;
 pub mod ids;
 pub mod manifold;
+pub mod subdivide;
 pub mod tri_mesh;
 pub mod weld;
 
 pub use ids::{TriangleId, VertexId};
 pub use manifold::{Manifold, ManifoldReport};
+pub use subdivide::subdivide;
 pub use tri_mesh::{MeshError, SoupReport, TriMesh};
 pub use weld::{WeldError, Welded, weld};

@@ -89,6 +89,8 @@ pub const PARAMETERS: &[Parameter] = &[
 
     row("mesh.weld_tolerance_m", "m", "Vertices closer than this are one; 0 joins only those of equal position.",
         Float(|c| &mut c.pipeline.weld_tolerance_m, 0.0, 1.0)),
+    row("mesh.loop_subdivisions", "", "Rounds of Loop subdivision: four triangles for one, corners rounded. The paper's program does one.",
+        Int(|c| &mut c.pipeline.num_subdivisions, 0, 3)),
 
     row("texinit.mode", "", "Resets all of texinit to ours (streaming) or to the paper's form (paper); comes before other texinit settings.",
         Choice { words: &["streaming", "paper"], set: set_mode, get: mode }),

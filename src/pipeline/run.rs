@@ -8,8 +8,8 @@ use super::progress::Progress;
 use crate::geom::Stamp;
 use crate::ingest::{Assembled, Assembler, EventSource, IngestParams, IngestReport};
 use crate::keyframe::{Keyframe, KeyframeParams, KeyframeReport, KeyframeStore};
-use crate::mesh::TriMesh;
 use crate::mesh::weld::{WeldError, weld};
+use crate::mesh::{MeshError, TriMesh, subdivide};
 use crate::texinit::{TexInit, TexInitError, TexInitParams, texinit};
 
 /// Settings of a whole run.
@@ -21,6 +21,8 @@ pub struct PipelineParams {
     pub keyframe: KeyframeParams,
     /// Vertices closer than this are one, metres; 0 joins those of equal position only.
     pub weld_tolerance_m: f64,
+    /// Rounds of Loop subdivision after welding; each makes four triangles of one.
+    pub num_subdivisions: u32,
     /// From frames and mesh to a texture.
     pub texinit: TexInitParams,
     /// What is held back to judge the result.
@@ -39,6 +41,9 @@ pub enum PipelineError {
     /// The mesh could not be welded.
     #[error(transparent)]
     Weld(#[from] WeldError),
+    /// The mesh could not be subdivided.
+    #[error(transparent)]
+    Subdivide(#[from] MeshError),
     /// The texture could not be made.
     #[error(transparent)]
     TexInit(#[from] TexInitError),
@@ -106,22 +111,21 @@ pub fn run(
 
     clock.begin("weld the mesh", 0);
     let welded = weld(mesh, params.weld_tolerance_m)?;
+    let mesh = match params.num_subdivisions {
+        0 => welded.mesh,
+        num_rounds => subdivide(&welded.mesh, num_rounds)?,
+    };
     let (painting, judging) = held_out::split(keyframes, &params.held_out);
 
     let decode = |keyframe: &Keyframe| store.decode(keyframe);
-    let texinit = texinit(&welded.mesh, &painting, &decode, &params.texinit, &clock)?;
+    let texinit = texinit(&mesh, &painting, &decode, &params.texinit, &clock)?;
 
     clock.begin("render held-out views", judging.len());
-    let held_out = held_out::render_views(
-        &judging,
-        &decode,
-        &welded.mesh,
-        &texinit.layout,
-        &texinit.texture,
-    );
+    let held_out =
+        held_out::render_views(&judging, &decode, &mesh, &texinit.layout, &texinit.texture);
 
     Ok(Run {
-        mesh: welded.mesh,
+        mesh,
         keyframes: painting,
         texinit,
         held_out,
