@@ -12,6 +12,7 @@
 mod architecture;
 mod bad_input;
 mod bag_interop;
+mod claims;
 mod command;
 mod docs;
 mod export;
