@@ -14,6 +14,7 @@ mod bad_input;
 mod bag_interop;
 mod claims;
 mod command;
+mod corpus;
 mod docs;
 mod export;
 mod import;
