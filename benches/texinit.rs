@@ -145,7 +145,7 @@ fn bench_charts(
     texels_per_m: f64,
 ) -> AtlasLayout {
     let flattened = || flatten(mesh, &FlattenParams::default()).expect("charts");
-    let separated = |charts: Vec<FlatChart>| separate(charts, &OverlapParams::default());
+    let separated = |charts: Vec<FlatChart>| separate(mesh, charts, &OverlapParams::default());
     let charts = flattened().charts;
     let (apart, _) = separated(charts.clone());
     let num_triangles = mesh.num_triangles();

@@ -1,10 +1,10 @@
 //! Charts and layout of a mesh file, without frames: what the geometry half of TexInit makes of it.
 //!
 //! ```text
-//! cargo run --release --example unwrap -- MESH.ply|.obj [OUT.obj] [--paper] [--texels-per-m N] [--threads N]
+//! cargo run --release --example unwrap -- MESH.ply|.obj [OUT.obj] [--paper] [--page N] [--texels-per-m N] [--threads N]
 //! ```
 //!
-//! Prints times, counts and distortion as JSON; `OUT.obj` gets the mesh with its texture coordinates
+//! `--page N` fills one page of N × N texels as densely as it can. Prints times, counts and distortion as JSON; `OUT.obj` gets the mesh with its texture coordinates
 //! in [0, 1] of its page (v up, as OBJ has it), one group per page.
 
 #![expect(
@@ -43,7 +43,7 @@ fn main() -> anyhow::Result<()> {
     let flatten_s = start.elapsed().as_secs_f64();
 
     let start = Instant::now();
-    let (charts, overlaps) = overlap::separate(flat.charts, &params.overlap);
+    let (charts, overlaps) = overlap::separate(&mesh, flat.charts, &params.overlap);
     let overlap_s = start.elapsed().as_secs_f64();
 
     let area_m2: f64 = mesh.triangle_ids().map(|t| mesh.area_m2(t)).sum();
@@ -81,15 +81,18 @@ fn main() -> anyhow::Result<()> {
 }
 
 fn options() -> anyhow::Result<Options> {
-    const USAGE: &str = "unwrap MESH.ply|.obj [OUT.obj] [--paper] [--texels-per-m N] [--threads N]";
+    const USAGE: &str =
+        "unwrap MESH.ply|.obj [OUT.obj] [--paper] [--page N] [--texels-per-m N] [--threads N]";
     let mut paths = Vec::new();
     let mut params = TexInitParams::default();
     let mut texels_per_m = None;
+    let mut page_size_texel: Option<u32> = None;
     let mut words = std::env::args().skip(1);
     while let Some(word) = words.next() {
         let mut value = || words.next().context(USAGE);
         match word.as_str() {
             "--paper" => params = TexInitParams::paper(),
+            "--page" => page_size_texel = Some(value()?.parse()?),
             "--texels-per-m" => texels_per_m = Some(value()?.parse()?),
             "--threads" => rayon::ThreadPoolBuilder::new()
                 .num_threads(value()?.parse()?)
@@ -97,6 +100,12 @@ fn options() -> anyhow::Result<Options> {
             flag if flag.starts_with('-') => bail!("unknown option {flag}; {USAGE}"),
             path => paths.push(PathBuf::from(path)),
         }
+    }
+    if let Some(side) = page_size_texel {
+        params.pack.page_size_texel = side;
+        params.pack.max_texels = u64::from(side).pow(2);
+        // More than fits: the budget decides.
+        texels_per_m = texels_per_m.or(Some(1e6));
     }
     let mut paths = paths.into_iter();
     Ok(Options {

@@ -18,8 +18,11 @@ pub mod measure;
 pub mod page_pictures;
 pub mod pictures;
 pub mod plan;
+pub mod repairs;
 mod sections;
 mod tables;
+
+pub use repairs::{Repair, repairs};
 
 pub use data::{
     AtlasSummary, ChartSummary, Count, CoverageSummary, DensitySummary, Drop, KeyframeRow,

@@ -58,13 +58,15 @@ pub struct TexInitParams {
 
 impl TexInitParams {
     /// The paper's form, with the published program's choices where its text is silent: one chart
-    /// per connected component, its cues and weights alone, every triangle by itself.
+    /// per connected component, its field of planes, its cues and weights alone, every triangle by
+    /// itself.
     pub fn paper() -> Self {
         Self {
             flatten: FlattenParams {
                 mode: ChartMode::Paper,
                 ..FlattenParams::default()
             },
+            overlap: OverlapParams::paper(),
             assign: AssignParams::paper(),
             ..Self::default()
         }
@@ -186,7 +188,7 @@ pub fn texinit(
     let flat = flatten::flatten(mesh, &params.flatten)?;
 
     observer.begin(Stage::Overlap, 0);
-    let (charts, overlap_report) = overlap::separate(flat.charts, &params.overlap);
+    let (charts, overlap_report) = overlap::separate(mesh, flat.charts, &params.overlap);
 
     observer.begin(Stage::Assign, frames.len());
     let assignment = assign::assign(mesh, frames, decode, &params.assign, &advance)?;

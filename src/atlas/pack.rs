@@ -170,16 +170,27 @@ pub fn texels_per_m_for_budget<C: PlaneChart>(
     /// Placement fills pages to some 0.95; each step down gives 6 % of the area.
     const STEP: f64 = 0.97;
     const MAX_STEPS: usize = 40;
+    const MAX_HALVINGS: i32 = 200;
     check_params(wanted_texels_per_m, params)?;
     check_corners(charts)?;
     let frames = frames(charts);
     let mut texels_per_m = density_for_area(&frames, wanted_texels_per_m, params);
-    for _ in 0..MAX_STEPS {
+    let fits = |texels_per_m: f64| {
         let shaped = shape_all(charts, &frames, texels_per_m, params);
-        if place_all(&shaped, params).is_some() {
-            break;
+        place_all(&shaped, params).is_some()
+    };
+    for _ in 0..MAX_STEPS {
+        if fits(texels_per_m) {
+            return Ok(texels_per_m);
         }
         texels_per_m *= STEP;
+    }
+    // Charts that are drawn smaller to fit a page take the same room until the density has fallen
+    // by as much: a mesh in the wrong unit.
+    if fits(texels_per_m * 0.5_f64.powi(MAX_HALVINGS)) {
+        while !fits(texels_per_m) {
+            texels_per_m *= 0.5;
+        }
     }
     Ok(texels_per_m)
 }

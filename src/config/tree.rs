@@ -7,6 +7,7 @@ use crate::export::pages::PageFormat;
 use crate::ingest::PoseSource;
 use crate::texinit::TexInitParams;
 use crate::texinit::flatten::ChartMode;
+use crate::texinit::overlap::OverlapForm;
 use crate::texinit::transfer::TransferMode;
 
 use Access::{Bool, Choice, Count, Float, Float32, Int, Text};
@@ -110,6 +111,8 @@ pub const PARAMETERS: &[Parameter] = &[
         Float(|c| &mut c.pipeline.texinit.flatten.max_stretch, 1.0, 100.0)),
     row("texinit.chart.max_cones", "", "Most cones in a whole component (mode paper).",
         Count(|c| &mut c.pipeline.texinit.flatten.max_cones, 0, 10_000)),
+    row("texinit.overlap.form", "", "Eq. MRFPlane as the paper prints it, or with the planes, rewards and adjacency of the authors' program.",
+        Choice { words: &["printed", "reference"], set: set_overlap_form, get: overlap_form }),
     row("texinit.overlap.max_sweeps", "", "Sweeps of dual coordinate descent that separate overlaps.",
         Count(|c| &mut c.pipeline.texinit.overlap.max_sweeps, 0, 1000)),
     row("texinit.area_weight", "1/px²", "ω1: weight of the projected area (cue C1).",
@@ -206,6 +209,20 @@ fn mode(config: &Config) -> &'static str {
     match config.pipeline.texinit.flatten.mode {
         ChartMode::Streaming => "streaming",
         ChartMode::Paper => "paper",
+    }
+}
+
+fn set_overlap_form(config: &mut Config, word: &str) {
+    config.pipeline.texinit.overlap.form = match word {
+        "reference" => OverlapForm::Reference,
+        _ => OverlapForm::Printed,
+    };
+}
+
+fn overlap_form(config: &Config) -> &'static str {
+    match config.pipeline.texinit.overlap.form {
+        OverlapForm::Printed => "printed",
+        OverlapForm::Reference => "reference",
     }
 }
 

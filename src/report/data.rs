@@ -4,6 +4,8 @@
 
 use serde::Serialize;
 
+use super::repairs::Repair;
+
 /// Everything that is said of one run.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Report {
@@ -148,8 +150,10 @@ pub struct MeshSummary {
     pub area_m2: f64,
     /// Extent along x, y and z.
     pub size_m: [f64; 3],
-    /// What else is known of it: components, non-manifold edges, degenerate triangles …
+    /// What else is known of it: components, boundary edges …
     pub details: Vec<Count>,
+    /// What was wrong with it, by kind, and what was done about it.
+    pub repairs: Vec<Repair>,
 }
 
 /// The charts.

@@ -105,8 +105,10 @@ impl Report {
     ) -> Result<(), ReportError> {
         let tally = SourceTally::of(&textured.texture().pages);
         let details = std::mem::take(&mut self.mesh.details);
+        let repairs = std::mem::take(&mut self.mesh.repairs);
         self.mesh = MeshSummary {
             details,
+            repairs,
             ..mesh_summary(textured.mesh())
         };
         fill_chart_sizes(&mut self.charts, textured);
@@ -144,7 +146,7 @@ fn mesh_summary(mesh: &TriMesh) -> MeshSummary {
         num_triangles: mesh.num_triangles(),
         area_m2,
         size_m,
-        details: Vec::new(),
+        ..MeshSummary::default()
     }
 }
 

@@ -4,6 +4,7 @@ use serde_json::Value;
 
 use super::data::{Count, KeyframeRow, Report};
 use super::html::{escape, push, section};
+use super::repairs::Repair;
 
 /// A number with thin spaces between its thousands.
 pub(super) fn grouped(value: u64) -> String {
@@ -157,6 +158,7 @@ pub(super) fn result(report: &Report) -> String {
     let plain = ["", "#"];
     let mut cards = String::new();
     cards.push_str(&card("Mesh", &table(&plain, &mesh_rows(report))));
+    cards.push_str(&repairs_card(&report.mesh.repairs));
     cards.push_str(&card("Charts", &table(&plain, &chart_rows(report))));
     cards.push_str(&card(
         "Atlas and coverage",
@@ -199,6 +201,27 @@ pub(super) fn result(report: &Report) -> String {
         "Lengths in metres, colours as sRGB bytes.",
         &format!("<div class=\"cards\">{cards}</div>"),
     )
+}
+
+fn repairs_card(repairs: &[Repair]) -> String {
+    if repairs.is_empty() {
+        return String::new();
+    }
+    let rows: Vec<Vec<String>> = repairs
+        .iter()
+        .filter(|repair| repair.count > 0)
+        .map(|repair| {
+            vec![
+                repair.found.clone(),
+                grouped(repair.count as u64),
+                repair.done.clone(),
+            ]
+        })
+        .collect();
+    let nothing = "<p class=\"lead\">The mesh needed none.</p>";
+    let found = table(&["found", "how many#", "what was done"], &rows);
+    let body = if rows.is_empty() { nothing } else { &found };
+    wide_card("Mesh repairs", body)
 }
 
 fn mesh_rows(report: &Report) -> Vec<Vec<String>> {

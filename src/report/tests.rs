@@ -81,6 +81,16 @@ fn report() -> Report {
             seconds: 1.5,
         }],
         total_s: 2.0,
+        mesh: MeshSummary {
+            repairs: [("edges <found>", 3), ("a fault of none", 0)]
+                .map(|(found, count)| Repair {
+                    found: found.to_owned(),
+                    count,
+                    done: "cut".to_owned(),
+                })
+                .to_vec(),
+            ..MeshSummary::default()
+        },
         parameters: serde_json::json!({"texinit": {"mode": "streaming"}}),
         ..Report::default()
     }
@@ -158,6 +168,9 @@ fn the_page_is_one_file_and_text_stays_text() {
     let json: serde_json::Value =
         serde_json::from_slice(&std::fs::read(folder.path().join(JSON_NAME)).unwrap()).unwrap();
     assert_eq!(json["coverage"]["num_texels"], 128);
+    assert_eq!(json["mesh"]["repairs"][0]["count"], 3);
+    assert_eq!(json["mesh"]["repairs"][1]["found"], "a fault of none");
+    assert!(html.contains("edges &lt;found&gt;") && !html.contains("a fault of none"));
 }
 
 #[test]

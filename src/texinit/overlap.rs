@@ -2,30 +2,38 @@
 //! the plane.
 //!
 //! Method: Zhao, Zhao, Schwing, ECCV 2022, section 3.1, Eq. MRFPlane. Triangles of a chart that
-//! overlap ([`detect`], exact) are assigned to different planes by a Markov random field over the
-//! planes: 1 for a triangle's own first free plane, 1 for each adjacent pair on one plane, 1 for
-//! each overlapping pair on two. It is solved by MPLP ([`mplp`]); what still overlaps is moved to
-//! the first plane free of all its neighbours. Triangles of one plane that hang together by edges
-//! are a piece, and each piece is a chart of its own.
+//! overlap ([`detect`], exact) are assigned to different planes by a Markov random field, in the
+//! paper's form or in that of the authors' program ([`OverlapForm`]). It is solved by MPLP
+//! ([`mplp`]); what still overlaps is moved to the first plane free of all its neighbours.
+//! Triangles of one plane that hang together by edges in the plane are a piece, and each piece is
+//! a chart of its own.
 //!
-//! Two additions, each switchable. Region growing (add a neighbour unless it overlaps the piece)
-//! is tried beside the field, and the result with fewer pieces is kept. A chart too
-//! folded for the field ([`OverlapParams::max_pairs_per_triangle`], [`OverlapParams::max_messages`])
-//! is grown only, whose time does not depend on how many layers there are.
+//! Two additions, each switchable. Pieces of different planes that are adjacent and do not overlap
+//! are put together. Region growing ([`grow`]) is tried beside the field, and the result with fewer
+//! pieces is kept. A chart too folded for the field ([`OverlapParams::max_pairs_per_triangle`],
+//! [`OverlapParams::max_messages`]) is grown only.
 //!
 //! Charts without overlap, nearly all of them, come back as they were.
 
 pub mod detect;
+mod field;
+mod graph;
+mod grow;
 pub mod mplp;
 pub mod separate;
+mod stack;
 
 use rayon::prelude::*;
 
+pub use field::OverlapForm;
 pub use separate::PieceMethod;
 
 use super::flatten::FlatChart;
 use crate::atlas::PlaneChart;
-use crate::mesh::TriangleId;
+use crate::mesh::weld::equal_representatives;
+use crate::mesh::{TriMesh, TriangleId};
+use graph::SharedEdges;
+use separate::FoldedChart;
 
 impl PlaneChart for FlatChart {
     fn triangles(&self) -> &[TriangleId] {
@@ -40,20 +48,18 @@ impl PlaneChart for FlatChart {
 /// How overlaps are resolved.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OverlapParams {
-    /// Reward of a triangle on the first plane where it overlaps none before it, ≥ 0.
-    pub unary_reward: f64,
-    /// Reward of two adjacent triangles on one plane, ≥ 0.
-    pub adjacent_reward: f64,
-    /// Reward of two overlapping triangles on different planes, ≥ 0.
-    pub overlap_reward: f64,
+    /// The field's planes, rewards and adjacency.
+    pub form: OverlapForm,
     /// Sweeps of dual coordinate descent over all pairs, at most.
     pub max_sweeps: usize,
-    /// Planes that the field chooses among, ≥ 2; the guarantee may use more.
+    /// Planes that the field chooses among, at most, ≥ 2; the guarantee may use more.
     pub max_planes: usize,
     /// More overlapping pairs than this times the chart's triangles: the chart is grown only.
     pub max_pairs_per_triangle: usize,
     /// More messages (two per pair and plane, 8 bytes each) than this: the chart is grown only.
     pub max_messages: usize,
+    /// Put pieces together that are adjacent and do not overlap.
+    pub merge_pieces: bool,
     /// Keep the grown pieces where they are fewer than the field's.
     pub try_growing: bool,
 }
@@ -61,14 +67,27 @@ pub struct OverlapParams {
 impl Default for OverlapParams {
     fn default() -> Self {
         Self {
-            unary_reward: 1.0,
-            adjacent_reward: 1.0,
-            overlap_reward: 1.0,
+            form: OverlapForm::Printed,
             max_sweeps: 10,
             max_planes: 16,
             max_pairs_per_triangle: 64,
             max_messages: 1 << 23,
+            merge_pieces: true,
             try_growing: true,
+        }
+    }
+}
+
+impl OverlapParams {
+    /// The authors' program: its form of the field, and nothing beside it.
+    pub fn paper() -> Self {
+        Self {
+            form: OverlapForm::Reference,
+            max_planes: 64,
+            max_messages: 1 << 25,
+            merge_pieces: false,
+            try_growing: false,
+            ..Self::default()
         }
     }
 }
@@ -84,6 +103,10 @@ pub struct OverlapReport {
     pub num_overlapping_pairs: usize,
     /// Charts too folded for the field.
     pub num_crowded_charts: usize,
+    /// Charts whose field chose among fewer planes than its form asks for.
+    pub num_capped_charts: usize,
+    /// The most planes that a field chose among.
+    pub max_field_planes: usize,
     /// Overlapping charts whose pieces are the grown ones.
     pub num_grown_charts: usize,
     /// Triangles that the field left on the plane of one they overlap.
@@ -98,6 +121,8 @@ impl OverlapReport {
         self.num_overlapping_charts += other.num_overlapping_charts;
         self.num_overlapping_pairs += other.num_overlapping_pairs;
         self.num_crowded_charts += other.num_crowded_charts;
+        self.num_capped_charts += other.num_capped_charts;
+        self.max_field_planes = self.max_field_planes.max(other.max_field_planes);
         self.num_grown_charts += other.num_grown_charts;
         self.num_moved_triangles += other.num_moved_triangles;
         self.num_pieces += other.num_pieces;
@@ -106,11 +131,24 @@ impl OverlapReport {
 
 /// The same triangles in charts without overlap, in the order of the charts they came from. A
 /// piece keeps the corners and, as a bound, the distortion of its chart; triangles of no area in
-/// the plane overlap nothing.
-pub fn separate(charts: Vec<FlatChart>, params: &OverlapParams) -> (Vec<FlatChart>, OverlapReport) {
+/// the plane overlap nothing. The charts are of `mesh`.
+pub fn separate(
+    mesh: &TriMesh,
+    charts: Vec<FlatChart>,
+    params: &OverlapParams,
+) -> (Vec<FlatChart>, OverlapReport) {
+    // As in flattening, vertices of equal position are one.
+    let vertex_of = match params.form {
+        OverlapForm::Printed => Vec::new(),
+        OverlapForm::Reference => equal_representatives(mesh.positions_m()),
+    };
+    let surface_edges = |chart: &FlatChart| {
+        let triangles = chart.triangles.iter().map(|t| mesh.triangles()[t.index()]);
+        SharedEdges::of(triangles.map(|t| t.map(|v| vertex_of[v as usize])))
+    };
     let separated: Vec<(Vec<FlatChart>, OverlapReport)> = charts
         .into_par_iter()
-        .map(|chart| separate_chart(chart, params))
+        .map(|chart| separate_chart(chart, &surface_edges, params))
         .collect();
     let mut report = OverlapReport::default();
     for (_, chart_report) in &separated {
@@ -120,7 +158,11 @@ pub fn separate(charts: Vec<FlatChart>, params: &OverlapParams) -> (Vec<FlatChar
     (pieces.collect(), report)
 }
 
-fn separate_chart(chart: FlatChart, params: &OverlapParams) -> (Vec<FlatChart>, OverlapReport) {
+fn separate_chart(
+    chart: FlatChart,
+    surface_edges: &impl Fn(&FlatChart) -> SharedEdges,
+    params: &OverlapParams,
+) -> (Vec<FlatChart>, OverlapReport) {
     let max_pairs = params
         .max_pairs_per_triangle
         .saturating_mul(chart.corners_m.len());
@@ -133,10 +175,27 @@ fn separate_chart(chart: FlatChart, params: &OverlapParams) -> (Vec<FlatChart>, 
     if pairs.as_ref().is_some_and(Vec::is_empty) {
         return (vec![chart], report);
     }
-    let pieces = separate::pieces(&chart.corners_m, &layer, pairs.as_deref(), params);
+    let plane_edges = SharedEdges::in_plane(&chart.corners_m);
+    let on_surface;
+    let field_edges = match params.form {
+        OverlapForm::Printed => &plane_edges,
+        OverlapForm::Reference => {
+            on_surface = surface_edges(&chart);
+            &on_surface
+        }
+    };
+    let folded = FoldedChart {
+        layer: &layer,
+        plane_edges: &plane_edges,
+        field_edges,
+        pairs: pairs.as_deref(),
+    };
+    let pieces = separate::pieces(&folded, params);
     report.num_overlapping_charts = 1;
     report.num_overlapping_pairs = pairs.as_ref().map_or(0, Vec::len);
     report.num_crowded_charts = usize::from(pieces.is_crowded);
+    report.num_capped_charts = usize::from(pieces.is_capped);
+    report.max_field_planes = pieces.num_planes;
     report.num_grown_charts = usize::from(pieces.method == PieceMethod::Growing);
     report.num_moved_triangles = pieces.num_moved_triangles;
     report.num_pieces = pieces.members.len();
@@ -150,6 +209,7 @@ fn separate_chart(chart: FlatChart, params: &OverlapParams) -> (Vec<FlatChart>, 
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::Point3;
     use proptest::prelude::*;
 
     use super::super::flatten::ChartDistortion;
@@ -257,13 +317,25 @@ mod tests {
         assert_eq!(seen, expected);
     }
 
-    fn separated(chart: &FlatChart, params: &OverlapParams) -> (Vec<FlatChart>, OverlapReport) {
-        separate(vec![chart.clone()], params)
+    /// The plane itself as the surface: vertices are those of the plane.
+    fn surface(chart: &FlatChart) -> TriMesh {
+        let corners = chart.corners_m.iter().flatten();
+        let positions: Vec<Point3<f64>> = corners.map(|p| Point3::new(p[0], p[1], 0.0)).collect();
+        let triangles = (0u32..).step_by(3).take(chart.corners_m.len());
+        let triangles = triangles.map(|first| [first, first + 1, first + 2]);
+        TriMesh::from_soup(positions, triangles.collect())
+            .unwrap()
+            .0
     }
 
-    fn variants() -> [OverlapParams; 3] {
+    fn separated(chart: &FlatChart, params: &OverlapParams) -> (Vec<FlatChart>, OverlapReport) {
+        separate(&surface(chart), vec![chart.clone()], params)
+    }
+
+    fn variants() -> [OverlapParams; 4] {
         let default = OverlapParams::default();
         let field_only = OverlapParams {
+            merge_pieces: false,
             try_growing: false,
             ..default
         };
@@ -271,7 +343,7 @@ mod tests {
             max_pairs_per_triangle: 0,
             ..default
         };
-        [default, field_only, grown_only]
+        [default, field_only, grown_only, OverlapParams::paper()]
     }
 
     #[test]

@@ -12,7 +12,9 @@
 mod architecture;
 mod bad_input;
 mod bag_interop;
+mod claims;
 mod command;
+mod corpus;
 mod docs;
 mod export;
 mod import;

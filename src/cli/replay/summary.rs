@@ -9,7 +9,7 @@ use crate::keyframe::Keyframe;
 use crate::pipeline::Run;
 use crate::report::{
     ChartSummary, Count, DensitySummary, Drop, KeyframeRow, MeshSummary, Note, Report, Severity,
-    SourceSummary, Stage, TopicRow,
+    SourceSummary, Stage, TopicRow, repairs,
 };
 
 /// What a run did, as far as the run itself knows; [`Report::measure`] adds what the result shows.
@@ -31,6 +31,7 @@ pub(super) fn of_run(run: &Run, path: &Path, bag: &BagReader, config: &Config) -
         num_threads: rayon::current_num_threads(),
         mesh: MeshSummary {
             details: mesh_details(run),
+            repairs: repairs(&run.texinit.report.flatten.manifold),
             ..MeshSummary::default()
         },
         charts: charts(run),
@@ -185,20 +186,6 @@ fn mesh_details(run: &Run) -> Vec<Count> {
     vec![
         Count::new("vertices merged by welding", run.num_welded_vertices as u64),
         Count::new("boundary edges", manifold.num_boundary_edges as u64),
-        Count::new(
-            "edges with more than two faces",
-            manifold.num_non_manifold_edges as u64,
-        ),
-        Count::new("vertices split", manifold.num_duplicated_vertices as u64),
-        Count::new(
-            "degenerate triangles",
-            manifold.num_zero_area_triangles as u64,
-        ),
-        Count::new(
-            "duplicate triangles",
-            manifold.num_duplicate_triangles as u64,
-        ),
-        Count::new("reversed triangles", manifold.num_reversed_triangles as u64),
     ]
 }
 

@@ -329,7 +329,11 @@ fn bake(name: &str, mesh: &str) {
         start = Instant::now();
     };
     let flat = flatten::flatten(&capture.mesh, &flatten::FlattenParams::default()).unwrap();
-    let (charts, _) = overlap::separate(flat.charts, &overlap::OverlapParams::default());
+    let (charts, _) = overlap::separate(
+        &capture.mesh,
+        flat.charts,
+        &overlap::OverlapParams::default(),
+    );
     lap("flatten and separate");
     let assignment = assign_poses(
         &capture.mesh,

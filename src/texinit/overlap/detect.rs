@@ -142,6 +142,11 @@ impl PlaneTriangles {
             }
     }
 
+    /// A triangle's corners in counter-clockwise order; nothing where it has no area.
+    pub(super) fn counter_clockwise(&self, triangle: usize) -> Option<[Point; 3]> {
+        self.counter_clockwise[triangle]
+    }
+
     /// Number of cells of the grid.
     pub(super) fn num_cells(&self) -> usize {
         self.grid.num_cells()

@@ -218,6 +218,15 @@ pub fn solve(field: &PottsField, max_sweeps: usize) -> Vec<usize> {
     best_labels
 }
 
+/// The labelling decoded after exactly `num_sweeps` sweeps.
+pub fn last_of(field: &PottsField, num_sweeps: usize) -> Vec<usize> {
+    let mut mplp = Mplp::new(field);
+    for _ in 0..num_sweeps {
+        mplp.sweep();
+    }
+    mplp.decode()
+}
+
 #[cfg(test)]
 mod tests {
     use proptest::prelude::*;
