@@ -8,6 +8,7 @@ triangles (vertices of equal position merged). From its texture coordinates foll
 - stretch: Sander et al. 2001, normalised so that 1 is the best at the given area; L2 over the
   surface, L-infinity of all faces but the worst 0.1 % of the area;
 - density: texels per metre, 5th to 95th percentile of the area;
+- all on pages of at most 4096 × 4096 texels, larger ones scaled down;
 - used: texel centres strictly inside a face, of all texels of the pages; twice: in several faces;
 - lost: faces with area on the surface and none in the texture (or not given back at all).
 """
@@ -156,8 +157,9 @@ def unwrap(tool, name, work, limit_s):
     out.unlink(missing_ok=True)
     run = subprocess.run(command, capture_output=True, text=True, timeout=limit_s)
     if run.returncode != 0:
-        lines = (run.stderr.strip() or run.stdout.strip() or f"exit {run.returncode}").splitlines()
-        raise RuntimeError(lines[-1][-160:])
+        said = [line for line in (run.stdout + run.stderr).splitlines() if "INFO" not in line]
+        last = said[-1].strip()[-160:] if said else "nothing said"
+        raise RuntimeError(f"{last} (exit {run.returncode})")
     data = np.load(out)
     return data["uv"], data["pages"], tuple(data["size"]), float(data["seconds"])
 
@@ -250,6 +252,9 @@ def seams(vertices, faces, uv, pages):
 
 
 def measure(vertices, faces, uv, pages, size):
+    # A page as large for all: xatlas makes larger ones.
+    scale = min(1.0, PAGE / max(size))
+    uv, size = uv * scale, [round(side * scale) for side in size]
     if len(uv) < len(faces):
         missing = len(faces) - len(uv)
         uv = np.concatenate([uv, np.zeros((missing, 3, 2))])

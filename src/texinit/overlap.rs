@@ -18,8 +18,10 @@
 pub mod detect;
 mod field;
 mod graph;
+mod grid;
 mod grow;
 pub mod mplp;
+mod outline;
 pub mod separate;
 mod stack;
 

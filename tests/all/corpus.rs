@@ -340,7 +340,8 @@ fn table() {
             let params = params(mode);
             let seconds = check_soup(&soup, &params);
             let (mesh, dropped) = TriMesh::from_soup(soup.positions, soup.triangles).unwrap();
-            let report = textured(&mesh, &params, 2).report;
+            let made = textured(&mesh, &params, 2);
+            let report = &made.report;
             let manifold = &report.flatten.manifold;
             let counts = [
                 ("not finite", dropped.num_dropped_triangles),
@@ -360,13 +361,14 @@ fn table() {
             let overlap = &report.overlap;
             writeln!(
                 text,
-                "| {} | {mode_name} | {} | {} | {} | {} | {:.3} | 0 | {seconds:.2} |",
+                "| {} | {mode_name} | {} | {} | {} | {} | {:.3} | {} | {seconds:.2} |",
                 name.replace('_', " "),
                 mesh.num_triangles(),
                 repairs.join(", "),
                 report.flatten.num_charts,
                 report.flatten.num_charts - overlap.num_overlapping_charts + overlap.num_pieces,
                 report.flatten.distortion.quasi_conformal_mean,
+                num_shared_texels(&made.layout),
             )
             .unwrap();
         }

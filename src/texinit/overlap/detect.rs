@@ -7,29 +7,25 @@
 //! adaptive predicates (crate `robust`) give them without error, short of underflow of
 //! differences below 1e-140 m.
 //!
-//! Candidates come from a uniform grid of about one cell per triangle; a triangle is entered only
-//! in the cells that it touches, so that slivers do not flood it.
+//! Candidates come from a grid of about one cell per triangle, finer where many lie ([`super::grid`]).
+//! Slivers round one vertex are candidates for each other in any grid; where there are too many
+//! candidates, the outline of the triangles may still prove that none overlap ([`super::outline`]).
 
 use robust::{Coord, orient2d};
+
+use super::grid::{Bounds, CellLists, Grid};
+use super::outline::covers_nothing_twice;
 
 type Point = [f64; 2];
 
 /// Corners farther out than this are not a flattening, and their products would overflow.
 const MAX_COORDINATE_M: f64 = 1e100;
 
-/// A grid as fine as one cell per triangle holds a few entries per triangle; slivers and mixed
-/// sizes more. Above this the grid is made coarser.
-const MAX_ENTRIES_PER_TRIANGLE: usize = 32;
-
 /// Candidate pairs tested, per allowed overlapping pair and per triangle.
 const MAX_TESTS_PER_PAIR: usize = 16;
 
 /// Candidate pairs that any chart may test (some 0.1 s): fans of 2,000 triangles need as many.
 const MIN_TEST_BUDGET: usize = 1 << 22;
-
-/// Rounding in the walk over cells is some 1e-16 times the number of cells (of order 1e6); this
-/// much of a cell covers it.
-const CELL_MARGIN: f64 = 1e-6;
 
 /// Sign of the area of (a, b, c): positive when counter-clockwise, y up. Exact.
 pub fn orientation(a: Point, b: Point, c: Point) -> f64 {
@@ -65,35 +61,6 @@ pub fn interiors_intersect(first: &[Point; 3], second: &[Point; 3]) -> bool {
             .any(|&(from, to)| other.iter().all(|&p| orientation(from, to, p) <= 0.0))
     };
     !separates(first, second) && !separates(second, first)
-}
-
-/// An axis-aligned box.
-#[derive(Clone, Copy, Debug)]
-struct Bounds {
-    min: Point,
-    max: Point,
-}
-
-impl Bounds {
-    const EMPTY: Self = Self {
-        min: [f64::INFINITY; 2],
-        max: [f64::NEG_INFINITY; 2],
-    };
-
-    fn including(self, p: Point) -> Self {
-        Self {
-            min: [self.min[0].min(p[0]), self.min[1].min(p[1])],
-            max: [self.max[0].max(p[0]), self.max[1].max(p[1])],
-        }
-    }
-
-    fn of(corners: &[Point; 3]) -> Self {
-        corners.iter().fold(Self::EMPTY, |b, &p| b.including(p))
-    }
-
-    fn interior_intersects(&self, other: &Self) -> bool {
-        (0..2).all(|k| self.min[k] < other.max[k] && other.min[k] < self.max[k])
-    }
 }
 
 /// Triangles of one plane, ready to be tested against each other.
@@ -153,10 +120,10 @@ impl PlaneTriangles {
     }
 
     /// The cells of the grid that a triangle touches; two triangles that overlap share one.
-    pub(super) fn for_each_cell(&self, triangle: usize, visit: impl FnMut(usize)) {
+    pub(super) fn for_each_cell(&self, triangle: usize, mut visit: impl FnMut(usize)) {
         if let Some(corners) = &self.counter_clockwise[triangle] {
             self.grid
-                .for_each_cell(corners, &self.bounds[triangle], visit);
+                .for_each_cell(corners, &self.bounds[triangle], &mut visit);
         }
     }
 }
@@ -164,11 +131,32 @@ impl PlaneTriangles {
 /// All pairs (lower index first, in order) of triangles that overlap; nothing when there are more
 /// than `max_pairs`, or so many candidates that there soon would be.
 pub fn overlapping_pairs(triangles: &PlaneTriangles, max_pairs: usize) -> Option<Vec<[u32; 2]>> {
-    let cells = CellLists::new(triangles);
     let max_tests = max_pairs
         .saturating_add(triangles.len())
         .saturating_mul(MAX_TESTS_PER_PAIR)
         .max(MIN_TEST_BUDGET);
+    match pairs_among_candidates(triangles, max_pairs, max_tests) {
+        Ok(pairs) => Some(pairs),
+        Err(GivenUp::TooManyPairs) => None,
+        Err(GivenUp::TooManyTests) => {
+            covers_nothing_twice(&triangles.counter_clockwise, max_tests).then(Vec::new)
+        }
+    }
+}
+
+enum GivenUp {
+    TooManyPairs,
+    TooManyTests,
+}
+
+fn pairs_among_candidates(
+    triangles: &PlaneTriangles,
+    max_pairs: usize,
+    max_tests: usize,
+) -> Result<Vec<[u32; 2]>, GivenUp> {
+    let cells = CellLists::new(triangles.len(), triangles.num_cells(), |triangle, visit| {
+        triangles.for_each_cell(triangle, visit);
+    });
     let mut num_tests = 0;
     let mut pairs = Vec::new();
     // Which triangle each one was last a candidate for.
@@ -190,190 +178,19 @@ pub fn overlapping_pairs(triangles: &PlaneTriangles, max_pairs: usize) -> Option
                 }
             }
         });
-        if pairs.len() > max_pairs || num_tests > max_tests {
-            return None;
+        if pairs.len() > max_pairs {
+            return Err(GivenUp::TooManyPairs);
+        }
+        if num_tests > max_tests {
+            return Err(if pairs.is_empty() {
+                GivenUp::TooManyTests
+            } else {
+                GivenUp::TooManyPairs
+            });
         }
     }
     pairs.sort_unstable();
-    Some(pairs)
-}
-
-/// Per cell: the triangles that touch it, in order.
-struct CellLists {
-    start: Vec<usize>,
-    members: Vec<u32>,
-}
-
-impl CellLists {
-    fn new(triangles: &PlaneTriangles) -> Self {
-        let mut start = vec![0usize; triangles.num_cells() + 1];
-        for triangle in 0..triangles.len() {
-            triangles.for_each_cell(triangle, |cell| start[cell + 1] += 1);
-        }
-        for cell in 1..start.len() {
-            start[cell] += start[cell - 1];
-        }
-        let num_entries = start.last().copied().unwrap_or(0);
-        let mut members = vec![0u32; num_entries];
-        let mut next = start.clone();
-        for (triangle, id) in (0..triangles.len()).zip(0u32..) {
-            triangles.for_each_cell(triangle, |cell| {
-                members[next[cell]] = id;
-                next[cell] += 1;
-            });
-        }
-        Self { start, members }
-    }
-
-    fn members(&self, cell: usize) -> &[u32] {
-        &self.members[self.start[cell]..self.start[cell + 1]]
-    }
-}
-
-/// A uniform grid over a box.
-struct Grid {
-    origin: Point,
-    cells_per_m: Point,
-    num_columns: usize,
-    num_rows: usize,
-}
-
-impl Grid {
-    /// About one cell per triangle, square, coarser where triangles would touch too many.
-    fn fit(corners: &[Option<[Point; 3]>], bounds: &[Bounds]) -> Self {
-        let mut all = Bounds::EMPTY;
-        let mut num_triangles = 0usize;
-        for b in corners.iter().flatten().map(Bounds::of) {
-            all = all.including(b.min).including(b.max);
-            num_triangles += 1;
-        }
-        let mut num_cells = num_triangles;
-        loop {
-            let grid = Self::with_cells(&all, num_cells);
-            let limit = MAX_ENTRIES_PER_TRIANGLE * num_triangles;
-            if num_cells <= 1 || grid.num_entries_up_to(corners, bounds, limit).is_some() {
-                return grid;
-            }
-            num_cells /= 4;
-        }
-    }
-
-    fn with_cells(all: &Bounds, num_cells: usize) -> Self {
-        let extent = [all.max[0] - all.min[0], all.max[1] - all.min[1]];
-        let longer = extent[0].max(extent[1]);
-        if num_cells <= 1 || longer.is_nan() || longer <= 0.0 {
-            return Self {
-                origin: [0.0; 2],
-                cells_per_m: [0.0; 2],
-                num_columns: 1,
-                num_rows: 1,
-            };
-        }
-        // A long thin box gets one row of at most `num_cells` columns.
-        let side = (extent[0] * (extent[1] / num_cells as f64))
-            .sqrt()
-            .max(longer / num_cells as f64);
-        let count = |length: f64| {
-            #[expect(
-                clippy::cast_possible_truncation,
-                clippy::cast_sign_loss,
-                reason = "at most num_cells; casts saturate"
-            )]
-            let count = (length / side).ceil() as usize;
-            count.clamp(1, num_cells)
-        };
-        Self {
-            origin: all.min,
-            cells_per_m: [1.0 / side; 2],
-            num_columns: count(extent[0]),
-            num_rows: count(extent[1]),
-        }
-    }
-
-    fn num_cells(&self) -> usize {
-        self.num_columns * self.num_rows
-    }
-
-    fn num_entries_up_to(
-        &self,
-        corners: &[Option<[Point; 3]>],
-        bounds: &[Bounds],
-        limit: usize,
-    ) -> Option<usize> {
-        let mut num_entries = 0;
-        for (corners, bounds) in corners.iter().zip(bounds) {
-            if let Some(corners) = corners {
-                self.for_each_cell(corners, bounds, |_| num_entries += 1);
-            }
-            if num_entries > limit {
-                return None;
-            }
-        }
-        Some(num_entries)
-    }
-
-    /// Fractional column or row.
-    fn position(&self, axis: usize, coordinate_m: f64) -> f64 {
-        (coordinate_m - self.origin[axis]) * self.cells_per_m[axis]
-    }
-
-    /// Columns or rows that the interval of fractional ones touches.
-    fn range(low: f64, high: f64, count: usize) -> (usize, usize) {
-        let clamp = |cell: f64| {
-            #[expect(
-                clippy::cast_possible_truncation,
-                clippy::cast_sign_loss,
-                reason = "casts saturate, NaN becomes 0"
-            )]
-            let index = cell as usize;
-            index.min(count - 1)
-        };
-        (clamp(low - CELL_MARGIN), clamp(high + CELL_MARGIN))
-    }
-
-    fn for_each_cell(&self, corners: &[Point; 3], bounds: &Bounds, mut visit: impl FnMut(usize)) {
-        let low = [0, 1].map(|axis| self.position(axis, bounds.min[axis]));
-        let high = [0, 1].map(|axis| self.position(axis, bounds.max[axis]));
-        let (first_row, last_row) = Self::range(low[1], high[1], self.num_rows);
-        let in_cells = corners.map(|p| [self.position(0, p[0]), self.position(1, p[1])]);
-        for row in first_row..=last_row {
-            let (first, last) = if first_row == last_row {
-                Self::range(low[0], high[0], self.num_columns)
-            } else {
-                let (left, right) = extent_in_row(&in_cells, row);
-                Self::range(left, right, self.num_columns)
-            };
-            for column in first..=last {
-                visit(row * self.num_columns + column);
-            }
-        }
-    }
-}
-
-/// Leftmost and rightmost point, in cells, of the part of a triangle inside a row of cells.
-fn extent_in_row(corners_in_cells: &[Point; 3], row: usize) -> (f64, f64) {
-    let bottom = row as f64 - CELL_MARGIN;
-    let top = (row + 1) as f64 + CELL_MARGIN;
-    let (mut left, mut right) = (f64::INFINITY, f64::NEG_INFINITY);
-    let [a, b, c] = *corners_in_cells;
-    for (p, q) in [(a, b), (b, c), (c, a)] {
-        let (low, high) = if p[1] <= q[1] { (p, q) } else { (q, p) };
-        if high[1] < bottom || low[1] > top {
-            continue;
-        }
-        let x_at = |y: f64| {
-            let share = ((y - low[1]) / (high[1] - low[1])).clamp(0.0, 1.0);
-            low[0] + share * (high[0] - low[0])
-        };
-        let ends = if high[1] > low[1] {
-            [x_at(bottom.max(low[1])), x_at(top.min(high[1]))]
-        } else {
-            [low[0], high[0]]
-        };
-        left = left.min(ends[0]).min(ends[1]);
-        right = right.max(ends[0]).max(ends[1]);
-    }
-    (left, right)
+    Ok(pairs)
 }
 
 #[cfg(test)]
