@@ -18,10 +18,14 @@ use std::time::Instant;
 
 use anyhow::{Context as _, bail};
 use serde_json::json;
-use veneer::atlas::{self, AtlasLayout, num_shared_texels};
+use veneer::atlas::{self, AtlasLayout, DensitySpread, num_shared_texels};
 use veneer::import::mesh_file;
 use veneer::mesh::TriMesh;
+use veneer::texinit::density::SizeRule;
 use veneer::texinit::{TexInitParams, flatten, overlap};
+
+/// The paper's plates for images whose longer side has up to 960 pixels.
+const PLATE_TEXEL: u32 = 1024;
 
 /// Texels that are enough to judge a layout by.
 const DEFAULT_TEXELS: f64 = 8e6;
@@ -51,8 +55,11 @@ fn main() -> anyhow::Result<()> {
         .texels_per_m
         .unwrap_or_else(|| (DEFAULT_TEXELS / area_m2).sqrt());
     let start = Instant::now();
-    let texels_per_m = atlas::texels_per_m_for_budget(&charts, wanted, &params.pack)?;
-    let (layout, pack) = atlas::pack(&charts, mesh.num_triangles(), texels_per_m, &params.pack)?;
+    let num_triangles = mesh.num_triangles();
+    let (layout, pack) = match params.size_rule {
+        SizeRule::Density => atlas::pack_to_budget(&charts, num_triangles, wanted, &params.pack)?,
+        SizeRule::Paper => atlas::pack_plates(&charts, num_triangles, PLATE_TEXEL, &params.pack)?,
+    };
     let pack_s = start.elapsed().as_secs_f64();
 
     if let Some(path) = &options.out {
@@ -73,7 +80,8 @@ fn main() -> anyhow::Result<()> {
         "overlap": format!("{overlaps:?}"),
         "pack": format!("{pack:?}"),
         "pages": [layout.page_size_texel[0], layout.page_size_texel[1], layout.num_pages],
-        "texels_per_m": texels_per_m,
+        "texels_per_m": layout.texels_per_m,
+        "density_spread": format!("{:?}", DensitySpread::of(&mesh, &layout)),
         "num_shared_texels": num_shared_texels(&layout),
     });
     println!("{}", serde_json::to_string_pretty(&summary)?);

@@ -6,8 +6,8 @@
 //! 1. [`flatten`]: charts, each flattened by boundary first flattening.
 //! 2. [`overlap`]: triangles of a chart that cover each other are put on different pieces.
 //! 3. [`assign`]: which frame paints which triangle, by three cues (Eq. MRFTex).
-//! 4. [`crate::atlas::pack()`]: rectangles on pages, at one texel density taken from the images
-//!    ([`density`]).
+//! 4. [`crate::atlas::pack_to_budget`]: charts on pages, at one texel density taken from the images
+//!    ([`density`]); or the paper's plates of fixed size ([`crate::atlas::pack_plates`]).
 //! 5. [`transfer`]: colour copied from the chosen frame.
 //! 6. [`fill`]: colours for what no frame sees; then [`crate::atlas::gutter`].
 
@@ -25,13 +25,15 @@ use std::sync::Arc;
 
 use crate::atlas::gutter::GutterReport;
 use crate::atlas::texture::TextureMismatch;
-use crate::atlas::{self, AtlasLayout, AtlasTexture, PackError, PackParams, PackReport};
+use crate::atlas::{
+    self, AtlasLayout, AtlasTexture, DensitySpread, PackError, PackParams, PackReport,
+};
 use crate::geom::ImageError;
 use crate::keyframe::{DecodedFrame, Keyframe};
 use crate::mesh::TriMesh;
 
 use assign::{AssignError, AssignParams, Assignment};
-use density::DensityParams;
+use density::{DensityParams, SizeRule};
 use fill::{FillError, FillParams, FillReport};
 use flatten::{ChartMode, FlatChart, FlattenError, FlattenParams, FlattenReport};
 use overlap::{OverlapParams, OverlapReport};
@@ -46,7 +48,9 @@ pub struct TexInitParams {
     pub overlap: OverlapParams,
     /// Choice of frames.
     pub assign: AssignParams,
-    /// Texels per metre.
+    /// What decides how many texels there are.
+    pub size_rule: SizeRule,
+    /// Texels per metre, where these decide.
     pub density: DensityParams,
     /// Pages.
     pub pack: PackParams,
@@ -58,8 +62,8 @@ pub struct TexInitParams {
 
 impl TexInitParams {
     /// The paper's form, with the published program's choices where its text is silent: one chart
-    /// per connected component, its field of planes, its cues and weights alone, every triangle by
-    /// itself.
+    /// per connected component, its field of planes, plates of fixed size, its cues and weights
+    /// alone, every triangle by itself.
     pub fn paper() -> Self {
         Self {
             flatten: FlattenParams {
@@ -67,6 +71,7 @@ impl TexInitParams {
                 ..FlattenParams::default()
             },
             overlap: OverlapParams::paper(),
+            size_rule: SizeRule::Paper,
             assign: AssignParams::paper(),
             ..Self::default()
         }
@@ -118,8 +123,11 @@ pub struct TexInitReport {
     pub overlap: OverlapReport,
     /// Packing.
     pub pack: PackReport,
-    /// Density that the images asked for, texels per metre; the layout has the one that fitted.
+    /// Density that the images asked for, texels per metre; the layout has the one that fitted, or
+    /// that of the paper's plates.
     pub wanted_texels_per_m: f64,
+    /// How evenly texels lie on the surface.
+    pub density_spread: DensitySpread,
     /// Colour transfer.
     pub transfer: TransferReport,
     /// Filling.
@@ -196,7 +204,8 @@ pub fn texinit(
     observer.begin(Stage::Pack, 0);
     let wanted_texels_per_m =
         density::wanted_texels_per_m(mesh, &assignment.best_texels_per_m, &params.density);
-    let (layout, pack_report) = place(mesh, &charts, wanted_texels_per_m, &params.pack)?;
+    let (layout, pack_report) = place(mesh, &charts, frames, wanted_texels_per_m, params)?;
+    let density_spread = DensitySpread::of(mesh, &layout);
     drop(charts);
 
     observer.begin(Stage::Transfer, assignment.report.num_frames_used);
@@ -223,6 +232,7 @@ pub fn texinit(
             overlap: overlap_report,
             pack: pack_report,
             wanted_texels_per_m,
+            density_spread,
             transfer: transfer_report,
             fill: fill_report,
             gutter: gutter_report,
@@ -233,9 +243,22 @@ pub fn texinit(
 fn place(
     mesh: &TriMesh,
     charts: &[FlatChart],
+    frames: &[Arc<Keyframe>],
     wanted_texels_per_m: f64,
-    params: &PackParams,
+    params: &TexInitParams,
 ) -> Result<(AtlasLayout, PackReport), PackError> {
-    let texels_per_m = atlas::texels_per_m_for_budget(charts, wanted_texels_per_m, params)?;
-    atlas::pack::pack(charts, mesh.num_triangles(), texels_per_m, params)
+    let num_triangles = mesh.num_triangles();
+    match params.size_rule {
+        SizeRule::Density => {
+            atlas::pack_to_budget(charts, num_triangles, wanted_texels_per_m, &params.pack)
+        }
+        SizeRule::Paper => {
+            let sizes = frames.iter().map(|frame| {
+                let pinhole = &frame.color_camera.pinhole;
+                pinhole.width().max(pinhole.height())
+            });
+            let side_texel = density::paper_plate_texel(sizes.max().unwrap_or(0));
+            atlas::pack_plates(charts, num_triangles, side_texel, &params.pack)
+        }
+    }
 }

@@ -1,11 +1,13 @@
-//! Colours around each chart: every texel of a chart's rectangle that no triangle paints gets the
-//! colour of the nearest painted texel of the same rectangle, so that bilinear lookup and mipmaps never mix
+//! Colours around each chart: every texel that a chart owns and no triangle paints gets the
+//! colour of the nearest painted texel of the same chart, so that bilinear lookup and mipmaps never mix
 //! in what lies beyond. Runs after the fill of unseen texels.
 //!
-//! Nearest by Euclid, exactly, in time linear in the rectangles' area: Meijster, Roerdink,
+//! Nearest by Euclid, exactly, in time linear in the area of the charts' rectangles: Meijster, Roerdink,
 //! Hesselink, "A general algorithm for computing distance transforms in linear time", 2000. Of
-//! equals the left, then the upper one. Rectangles are disjoint, so charts are done in parallel
-//! and the result does not depend on the thread count.
+//! equals the left, then the upper one. No texel is owned by two charts, so charts are done in
+//! parallel and the result does not depend on the thread count.
+
+use std::ops::Range;
 
 use rayon::prelude::*;
 
@@ -17,14 +19,14 @@ use super::texture::{AtlasTexture, TexelSource, TextureMismatch, TexturePage};
 pub struct GutterReport {
     /// Texels that got a colour.
     pub num_gutter_texels: usize,
-    /// Rectangles without any painted texel, left as they were.
-    pub num_blank_rects: usize,
+    /// Charts without any painted texel, left as they were.
+    pub num_blank_charts: usize,
 }
 
 /// Charts done at a time; bounds what is held before it is written.
 const CHARTS_PER_BATCH: usize = 256;
 
-/// Paints the texels of each chart's rectangle whose source is [`TexelSource::NONE`] or
+/// Paints the texels that each chart owns whose source is [`TexelSource::NONE`] or
 /// [`TexelSource::GUTTER`], as [`TexelSource::GUTTER`] with confidence 0. Nothing else changes;
 /// done twice it gives the same.
 ///
@@ -41,12 +43,12 @@ pub fn dilate_gutters(
             .par_iter()
             .map(|chart| {
                 let page = texture.pages.get(chart.page as usize)?;
-                nearest_painted(page, &clipped(chart, page))
+                nearest_painted(page, &clipped(chart, page), chart)
             })
             .collect();
         for (chart, copies) in batch.iter().zip(copies_by_chart) {
             let Some(copies) = copies else {
-                report.num_blank_rects += 1;
+                report.num_blank_charts += 1;
                 continue;
             };
             report.num_gutter_texels += copies.len();
@@ -93,26 +95,31 @@ fn is_painted(source: TexelSource) -> bool {
 /// No painted texel in the column.
 const NO_ROW: u32 = u32::MAX;
 
-/// For each unpainted texel of the rectangle, the nearest painted one; nothing when all are
-/// unpainted.
-fn nearest_painted(page: &TexturePage, rect: &TexelRect) -> Option<Vec<Copy>> {
-    let nearest_rows = nearest_row_in_column(page, rect);
+/// For each unpainted texel of the chart, the nearest painted one of the chart; nothing when all
+/// are unpainted. `rect` is the part of the chart's rectangle on the page.
+fn nearest_painted(page: &TexturePage, rect: &TexelRect, chart: &PlacedChart) -> Option<Vec<Copy>> {
+    let own_spans = own_spans_by_row(rect, chart);
+    let nearest_rows = nearest_row_in_column(page, rect, &own_spans);
     let width = rect.width as usize;
     let mut envelope = Vec::with_capacity(width);
     let mut copies = Vec::new();
     let page_index = |row: u32, column: u32| (rect.y + row) * page.width + rect.x + column;
-    for (row, rows) in (0u32..).zip(nearest_rows.chunks_exact(width.max(1))) {
-        if rows.iter().all(|&nearest| nearest == row) {
+    let with_rows = own_spans
+        .iter()
+        .zip(nearest_rows.chunks_exact(width.max(1)));
+    for (row, (spans, rows)) in (0u32..).zip(with_rows) {
+        let is_unpainted = |column: u32| rows[column as usize] != row;
+        if !spans.iter().cloned().flatten().any(is_unpainted) {
             continue;
         }
         lower_envelope(row, rows, &mut envelope);
         let mut current = envelope.first()?;
         let mut following = envelope.iter().skip(1).peekable();
-        for (column, &nearest) in (0u32..).zip(rows) {
+        for column in spans.iter().cloned().flatten() {
             while let Some(next) = following.next_if(|next| next.first_column <= column) {
                 current = next;
             }
-            if nearest != row {
+            if is_unpainted(column) {
                 copies.push(Copy {
                     from: page_index(rows[current.column as usize], current.column),
                     to: page_index(row, column),
@@ -120,21 +127,41 @@ fn nearest_painted(page: &TexturePage, rect: &TexelRect) -> Option<Vec<Copy>> {
             }
         }
     }
-    let is_blank = copies.is_empty() && nearest_rows.first().is_none_or(|&row| row == NO_ROW);
+    let is_blank = copies.is_empty() && nearest_rows.iter().all(|&row| row == NO_ROW);
     (!is_blank).then_some(copies)
 }
 
-/// Per texel of the rectangle: the row of the nearest painted texel of its column, the upper one
-/// of two.
-fn nearest_row_in_column(page: &TexturePage, rect: &TexelRect) -> Vec<u32> {
+/// Per row of the rectangle: the columns that the chart owns, both counted from its upper left.
+fn own_spans_by_row(rect: &TexelRect, chart: &PlacedChart) -> Vec<Vec<Range<u32>>> {
+    let mut spans = vec![Vec::new(); rect.height as usize];
+    for (y, first, len) in chart.own_spans() {
+        let columns = (first - rect.x).min(rect.width)..(first - rect.x + len).min(rect.width);
+        if let Some(row) = spans.get_mut((y - rect.y) as usize) {
+            row.push(columns);
+        }
+    }
+    spans
+}
+
+/// Per texel of the rectangle: the row of the nearest texel of its column that the chart owns and
+/// a triangle paints, the upper one of two.
+fn nearest_row_in_column(
+    page: &TexturePage,
+    rect: &TexelRect,
+    own_spans: &[Vec<Range<u32>>],
+) -> Vec<u32> {
     let width = rect.width as usize;
     let mut nearest = Vec::with_capacity(width * rect.height as usize);
     let mut above = vec![NO_ROW; width];
-    for row in 0..rect.height {
+    for (row, spans) in (0..rect.height).zip(own_spans) {
         let start = (rect.y + row) as usize * page.width as usize + rect.x as usize;
-        for (above, &source) in above.iter_mut().zip(&page.source[start..start + width]) {
-            if is_painted(source) {
-                *above = row;
+        let sources = &page.source[start..start + width];
+        for span in spans {
+            let span = span.start as usize..span.end as usize;
+            for (above, &source) in above[span.clone()].iter_mut().zip(&sources[span]) {
+                if is_painted(source) {
+                    *above = row;
+                }
             }
         }
         nearest.extend_from_slice(&above);
@@ -206,11 +233,7 @@ mod tests {
     const SIDE: u32 = 48;
 
     fn layout(rects: &[TexelRect]) -> AtlasLayout {
-        let chart = |rect: &TexelRect| PlacedChart {
-            page: 0,
-            rect: *rect,
-            triangles: vec![],
-        };
+        let chart = |rect: &TexelRect| PlacedChart::whole_rect(0, *rect, 1.0, vec![]);
         AtlasLayout {
             page_size_texel: [SIDE; 2],
             num_pages: 1,
@@ -242,7 +265,7 @@ mod tests {
             let before = painted_texture(&texels);
             let mut after = before.clone();
             let report = dilate_gutters(&layout(&[rect, right]), &mut after).unwrap();
-            prop_assert_eq!(report.num_blank_rects, 1);
+            prop_assert_eq!(report.num_blank_charts, 1);
             for y in 0..SIDE {
                 for x in 0..SIDE {
                     let index = (y * SIDE + x) as usize;
@@ -283,7 +306,7 @@ mod tests {
             x: 40,
             y: 47,
             width: 90,
-            height: u32::MAX,
+            height: 300,
         };
         let mut texture = painted_texture(&[(0, 0), (1, 0), (41, 47)]);
         let report = dilate_gutters(&layout(&[full, off]), &mut texture).unwrap();
@@ -291,7 +314,7 @@ mod tests {
             report,
             GutterReport {
                 num_gutter_texels: 7,
-                num_blank_rects: 0
+                num_blank_charts: 0
             }
         );
         let wrong = dilate_gutters(&layout(&[]), &mut AtlasTexture::default());

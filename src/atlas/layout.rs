@@ -1,5 +1,6 @@
-//! Which rectangle of which page each chart has, and where each triangle lies in it.
+//! Which cells of which page each chart has, and where each triangle lies in them.
 
+use super::cells::CellMask;
 use crate::mesh::TriangleId;
 
 /// Index of a chart in its [`AtlasLayout`].
@@ -13,7 +14,7 @@ impl ChartId {
     }
 }
 
-/// A rectangle of whole texels on a page, gutter included.
+/// A rectangle of whole texels on a page.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TexelRect {
     /// Left column.
@@ -26,15 +27,69 @@ pub struct TexelRect {
     pub height: u32,
 }
 
-/// A chart and the rectangle that is its own.
+/// A chart and the texels that are its own, gutter included.
+///
+/// Ownership goes by cells: the chart's rectangle is divided evenly into the columns and rows of
+/// [`Self::cells`], and the chart owns the texels of the cells in that set. No texel is owned by two
+/// charts, but rectangles may overlap: a small chart may lie in a hole or a bay of a large one. Who
+/// writes texels for a chart keeps to those it owns.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PlacedChart {
     /// Which page.
     pub page: u32,
-    /// Its rectangle there, gutter included; no two charts' rectangles intersect.
+    /// The smallest rectangle of whole cells around its own texels.
     pub rect: TexelRect,
+    /// Which cells of the rectangle are its own.
+    pub cells: CellMask,
+    /// Texels per metre of its surface; where charts are drawn to different scales, not all have the
+    /// layout's.
+    pub texels_per_m: f64,
     /// Its triangles.
     pub triangles: Vec<TriangleId>,
+}
+
+impl PlacedChart {
+    /// A chart that owns a whole rectangle.
+    pub fn whole_rect(
+        page: u32,
+        rect: TexelRect,
+        texels_per_m: f64,
+        triangles: Vec<TriangleId>,
+    ) -> Self {
+        Self {
+            page,
+            rect,
+            cells: CellMask::full([1, 1]),
+            texels_per_m,
+            triangles,
+        }
+    }
+
+    /// Width and height of a cell.
+    pub fn cell_size_texel(&self) -> [u32; 2] {
+        let [columns, rows] = self.cells.size();
+        let side = |texels: u32, cells: u32| texels.checked_div(cells).unwrap_or(0).max(1);
+        [side(self.rect.width, columns), side(self.rect.height, rows)]
+    }
+
+    /// Whether the texel of its page is the chart's own.
+    pub fn owns(&self, x: u32, y: u32) -> bool {
+        let [width, height] = self.cell_size_texel();
+        match (x.checked_sub(self.rect.x), y.checked_sub(self.rect.y)) {
+            (Some(x), Some(y)) => self.cells.contains(x / width, y / height),
+            _ => false,
+        }
+    }
+
+    /// Stretches of the chart's own texels: (row, first column, columns) on the page.
+    pub fn own_spans(&self) -> impl Iterator<Item = (u32, u32, u32)> + '_ {
+        let [width, height] = self.cell_size_texel();
+        self.cells.runs().flat_map(move |(row, first, len)| {
+            let first_row = self.rect.y + row * height;
+            (first_row..first_row + height)
+                .map(move |y| (y, self.rect.x + first * width, len * width))
+        })
+    }
 }
 
 /// The placement of every triangle of one mesh. All pages have one size.
@@ -44,7 +99,7 @@ pub struct AtlasLayout {
     pub page_size_texel: [u32; 2],
     /// How many pages there are.
     pub num_pages: u32,
-    /// Texels per metre that the charts were scaled by.
+    /// Texels per metre that the charts were scaled by; where their own differ, the mean by area.
     pub texels_per_m: f64,
     /// All charts.
     pub charts: Vec<PlacedChart>,

@@ -1,29 +1,46 @@
-//! Charts into rectangles of the atlas, at one density.
+//! Charts onto the pages of the atlas, at one density.
 //!
-//! Each chart is turned to its smallest rectangle, longer side across; scaled by `texels_per_m`;
-//! flipped (charts are y up, pages v down, so they are not mirrored); put on the grid of
-//! [`super::texels`]; given a gutter; and placed from the largest to the smallest rectangle. A
-//! chart larger than a page is drawn smaller. All is deterministic.
+//! Each chart is turned so that the smallest rectangle around it is upright; scaled by
+//! `texels_per_m`; flipped (charts are y up, pages v down, so they are not mirrored); and put on the
+//! grid of [`super::texels`]. Its footprint is the set of cells, aligned to the page, that have a
+//! texel within the gutter of one that a triangle touches. Footprints are placed by
+//! [`allocator::PageAllocator`] from the largest to the smallest, in one of four turns, so that no two share
+//! a cell; small charts lie in the holes and bays of large ones. A chart larger than a page is drawn
+//! smaller. All is deterministic.
 //!
-//! No two triangles own one texel ([`super::num_shared_texels`]): rectangles are disjoint, and
-//! within each chart every claim is checked after rounding. Where rounding makes triangles of a
+//! With a gutter of 2ᵏ⁻¹ texels a cell is 2ᵏ texels wide, and a bilinear lookup anywhere in a
+//! triangle reads cells of its chart only, in the page itself and its box-filtered mipmaps 1 to k
+//! alike. From level k + 1 on charts mix. Triangles with a texel of their own, which have no area to
+//! speak of, have a cell of their own and nothing around it: at level k a lookup in one mixes.
+//!
+//! No two triangles own one texel ([`super::num_shared_texels`]): cells are disjoint, and
+//! within each chart every claim is checked after rounding, as the chart lies on the page. Where
+//! rounding makes triangles of a
 //! chart share a texel, the chart starts elsewhere within its first texel, and if that does not
 //! help, the later triangle is placed apart. A triangle of no area on the grid, or of
 //! a chart so small that it owns no texel, gets one texel of its own, around whose centre its
 //! corners are put, so that colour transfer paints it like any other. Other thin or small triangles may
-//! own no texel; they are drawn from their neighbours'. Every rectangle owns one.
+//! own no texel; they are drawn from their neighbours'. Every chart of the layout owns one.
+//!
+//! [`pack_plates`] is the paper's form: square plates, each with a density of its own.
 
+pub mod allocator;
+mod arrange;
 mod bounding_rect;
-mod place;
+mod density;
+mod footprint;
+mod plates;
 mod shape;
 
 use rayon::prelude::*;
 
+use super::cells::{CellMask, QuarterTurn};
 use super::layout::{AtlasLayout, ChartId, PlacedChart, TexelRect};
-use super::texels::{MAX_PAGE_TEXEL, SUBTEXELS};
+use super::texels::{MAX_PAGE_TEXEL, SUBTEXELS, SubtexelPoint};
 use crate::mesh::TriangleId;
-use place::Placement;
-use shape::{ChartFrame, ShapedChart};
+use arrange::{Arrangement, PageLimits};
+use footprint::Footprint;
+use shape::{ChartFrame, Claims, Piece, ShapedChart};
 
 /// A chart laid out in the plane.
 pub trait PlaneChart: Sync {
@@ -38,17 +55,31 @@ pub trait PlaneChart: Sync {
 pub struct PackParams {
     /// Largest page side in texels: a power of two, 64 to 16,384.
     pub page_size_texel: u32,
-    /// Texels on each side of each chart, 2 to 16: two charts are twice as far apart.
+    /// Texels around each chart that are its own, 1 to 8, rounded up to whole cells. A gutter of 1, 2,
+    /// 4 or 8 keeps charts apart in the mipmaps up to level 1, 2, 3 or 4.
     pub gutter_texel: u32,
     /// Texels of all pages together, at most. A texel takes 8 bytes while it is painted.
     pub max_texels: u64,
+}
+
+impl PackParams {
+    /// Side of the cells that charts own.
+    pub const fn cell_texel(&self) -> u32 {
+        footprint::cell_texel(self.gutter_texel)
+    }
+
+    /// Longest chart that fits a page wherever it starts in its first cell: one texel less, as a
+    /// start within the first texel may need another one.
+    const fn room_texel(&self) -> u32 {
+        self.page_size_texel - 2 * self.gutter_texel - self.cell_texel()
+    }
 }
 
 impl Default for PackParams {
     fn default() -> Self {
         Self {
             page_size_texel: 4096,
-            gutter_texel: 4,
+            gutter_texel: 2,
             max_texels: 2 * 4096 * 4096,
         }
     }
@@ -64,7 +95,7 @@ pub enum PackError {
         page_size_texel: u32,
     },
     /// The gutter is out of range.
-    #[error("gutter of {gutter_texel} texels is not in 2..=16")]
+    #[error("gutter of {gutter_texel} texels is not in 1..=8")]
     Gutter {
         /// As given.
         gutter_texel: u32,
@@ -107,15 +138,34 @@ pub enum PackError {
         /// [`PackParams::max_texels`].
         max_texels: u64,
     },
+    /// Even the smallest plates would be too large together.
+    #[error("{num_plates} plates do not fit into {max_texels} texels")]
+    PlatesOverBudget {
+        /// How many plates there are.
+        num_plates: usize,
+        /// [`PackParams::max_texels`].
+        max_texels: u64,
+    },
+    /// A plate has more triangles to set apart than texels.
+    #[error("a plate of {side_texel} texels a side does not hold its charts at any density")]
+    PlateTooSmall {
+        /// Width and height of the plate.
+        side_texel: u32,
+    },
 }
 
 /// How the packing went.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PackReport {
-    /// Rectangles on the pages.
-    pub num_rects: usize,
-    /// Share of the pages' texels that lie in a rectangle.
-    pub page_fill: f64,
+    /// Charts on the pages, those set apart included.
+    pub num_charts: usize,
+    /// Side of the cells that charts own.
+    pub cell_texel: u32,
+    /// Share of the pages' texels that triangles own.
+    pub covered_share: f64,
+    /// Share of the pages' texels that charts own: those of triangles, the gutter, and what
+    /// rounding it to whole cells adds. No other chart may use them.
+    pub footprint_share: f64,
     /// Texels that a triangle owns.
     pub num_owned_texels: usize,
     /// Charts larger than a page, drawn smaller.
@@ -135,7 +185,7 @@ pub struct PackReport {
 ///
 /// # Errors
 /// [`PackError`] when a parameter is out of range, a triangle is missing, doubled or unknown, or
-/// the charts do not fit into the budget (see [`texels_per_m_for_budget`]).
+/// the charts do not fit into the budget (see [`pack_to_budget`]).
 pub fn pack<C: PlaneChart>(
     charts: &[C],
     num_triangles: usize,
@@ -145,111 +195,112 @@ pub fn pack<C: PlaneChart>(
     check_params(texels_per_m, params)?;
     check_charts(charts, num_triangles)?;
     let frames = frames(charts);
-    let shaped = shape_all(charts, &frames, texels_per_m, params);
-    let placement = place_all(&shaped, params).ok_or_else(|| PackError::OverBudget {
-        num_charts: shaped.iter().map(|s| s.pieces.len()).sum(),
-        texels_per_m,
-        max_texels: params.max_texels,
-    })?;
-    let report = report(&frames, &shaped, &placement, texels_per_m, params);
-    let layout = lay_out(shaped, &placement, num_triangles, texels_per_m);
+    let shapes = Shapes::at(charts, &frames, texels_per_m, params);
+    match shapes.arrange(params) {
+        Some(arranged) => Ok(arranged.lay_out(&frames, num_triangles, texels_per_m, params)),
+        None => Err(shapes.over_budget(texels_per_m, params)),
+    }
+}
+
+/// [`pack`] at the density wanted, or at the largest one found below it that keeps to the budget:
+/// within some percent of the largest there is. The layout says which.
+///
+/// # Errors
+/// As [`pack`]; [`PackError::OverBudget`] when even the gutters do not fit.
+pub fn pack_to_budget<C: PlaneChart>(
+    charts: &[C],
+    num_triangles: usize,
+    wanted_texels_per_m: f64,
+    params: &PackParams,
+) -> Result<(AtlasLayout, PackReport), PackError> {
+    /// Where pages turn out fuller than they can be; each step gives 4 % of the area.
+    const STEP: f64 = 0.98;
+    const MAX_STEPS: usize = 40;
+    check_params(wanted_texels_per_m, params)?;
+    check_charts(charts, num_triangles)?;
+    let frames = frames(charts);
+    let mut texels_per_m = density::first_guess(&frames, wanted_texels_per_m, params);
+    let mut shapes = Shapes::at(charts, &frames, texels_per_m, params);
+    for _ in 0..density::MAX_CORRECTIONS {
+        let num_texels = shapes.num_texels(params);
+        let corrected = density::corrected(
+            &frames,
+            wanted_texels_per_m,
+            texels_per_m,
+            num_texels,
+            params,
+        );
+        let Some(corrected) = corrected else {
+            break;
+        };
+        texels_per_m = corrected;
+        shapes = Shapes::at(charts, &frames, texels_per_m, params);
+    }
+    for _ in 0..MAX_STEPS {
+        match shapes.arrange(params) {
+            Some(arranged) => {
+                return Ok(arranged.lay_out(&frames, num_triangles, texels_per_m, params));
+            }
+            None => {
+                texels_per_m *= STEP;
+                shapes = Shapes::at(charts, &frames, texels_per_m, params);
+            }
+        }
+    }
+    Err(shapes.over_budget(texels_per_m, params))
+}
+
+/// The paper's form: plates of `side_texel` (halved until they keep to `max_texels`, the only one of
+/// `params` that counts), 500 charts to a plate from the smallest to the largest, each plate scaled
+/// by itself to fill its square, no gutter. Each plate is a page.
+///
+/// # Errors
+/// As [`pack`], and [`PackError`] when not even plates of 64² keep to the budget.
+pub fn pack_plates<C: PlaneChart>(
+    charts: &[C],
+    num_triangles: usize,
+    side_texel: u32,
+    params: &PackParams,
+) -> Result<(AtlasLayout, PackReport), PackError> {
+    check_page_size(side_texel)?;
+    check_charts(charts, num_triangles)?;
+    let frames = frames(charts);
+    let plates = plates::fill_plates(charts, &frames, side_texel, params)?;
+    let pages = Pages {
+        size_texel: [plates.side_texel; 2],
+        num_pages: plates.num_plates,
+        cell_texel: 1,
+    };
+    let laid: Vec<LaidPiece<'_>> = plates
+        .pieces
+        .par_iter()
+        .map(|on_plate| LaidPiece::in_rect(&on_plate.piece, on_plate.page, on_plate.rect))
+        .collect();
+    let (mut layout, mut report) = lay_out(laid, &pages, num_triangles, 0.0);
+    let in_plane_m2: f64 = frames.iter().map(|frame| frame.area_m2).sum();
+    if in_plane_m2 > 0.0 {
+        layout.texels_per_m = (report.num_owned_texels as f64 / in_plane_m2).sqrt();
+    }
+    report.num_moved_triangles = plates.num_moved_triangles;
     Ok((layout, report))
 }
 
-/// The density wanted, or the largest one found below it at which [`pack`] keeps to its budget:
-/// within some percent of the largest there is. When even the gutters do not fit, a density at
-/// which `pack` will say so.
-///
-/// # Errors
-/// [`PackError`] when a parameter is out of range or a chart's lists disagree.
-pub fn texels_per_m_for_budget<C: PlaneChart>(
-    charts: &[C],
-    wanted_texels_per_m: f64,
-    params: &PackParams,
-) -> Result<f64, PackError> {
-    /// Placement fills pages to some 0.95; each step down gives 6 % of the area.
-    const STEP: f64 = 0.97;
-    const MAX_STEPS: usize = 40;
-    const MAX_HALVINGS: i32 = 200;
-    check_params(wanted_texels_per_m, params)?;
-    check_corners(charts)?;
-    let frames = frames(charts);
-    let mut texels_per_m = density_for_area(&frames, wanted_texels_per_m, params);
-    let fits = |texels_per_m: f64| {
-        let shaped = shape_all(charts, &frames, texels_per_m, params);
-        place_all(&shaped, params).is_some()
-    };
-    for _ in 0..MAX_STEPS {
-        if fits(texels_per_m) {
-            return Ok(texels_per_m);
-        }
-        texels_per_m *= STEP;
-    }
-    // Charts that are drawn smaller to fit a page take the same room until the density has fallen
-    // by as much: a mesh in the wrong unit.
-    if fits(texels_per_m * 0.5_f64.powi(MAX_HALVINGS)) {
-        while !fits(texels_per_m) {
-            texels_per_m *= 0.5;
-        }
-    }
-    Ok(texels_per_m)
-}
-
-/// The largest density up to the one wanted at which the rectangles' area alone fits.
-fn density_for_area(frames: &[ChartFrame], wanted: f64, params: &PackParams) -> f64 {
-    let fits = |texels_per_m: f64| {
-        let side = |extent_m: f64, scale: f64| {
-            (extent_m * texels_per_m * scale).ceil() + f64::from(2 * params.gutter_texel)
-        };
-        let area: f64 = frames
-            .iter()
-            .map(|frame| {
-                let scale = frame.scale(texels_per_m, params);
-                frame
-                    .extent_m
-                    .map(|m| side(m, scale))
-                    .iter()
-                    .product::<f64>()
-            })
-            .sum();
-        area <= params.max_texels as f64
-    };
-    if fits(wanted) {
-        return wanted;
-    }
-    // First the power of two: a mesh in the wrong unit may be off by many.
-    const MAX_HALVINGS: usize = 200;
-    let mut low = 0.5 * wanted;
-    for _ in 0..MAX_HALVINGS {
-        if fits(low) {
-            break;
-        }
-        low *= 0.5;
-    }
-    let mut high = 2.0 * low;
-    for _ in 0..30 {
-        let middle = 0.5 * (low + high);
-        if fits(middle) {
-            low = middle;
-        } else {
-            high = middle;
-        }
-    }
-    low
-}
-
 fn check_params(texels_per_m: f64, params: &PackParams) -> Result<(), PackError> {
-    let page_size_texel = params.page_size_texel;
-    if !page_size_texel.is_power_of_two() || !(64..=MAX_PAGE_TEXEL).contains(&page_size_texel) {
-        return Err(PackError::PageSize { page_size_texel });
-    }
-    if !(2..=16).contains(&params.gutter_texel) {
+    check_page_size(params.page_size_texel)?;
+    if !(1..=8).contains(&params.gutter_texel) {
         return Err(PackError::Gutter {
             gutter_texel: params.gutter_texel,
         });
     }
     if !texels_per_m.is_finite() || texels_per_m <= 0.0 {
         return Err(PackError::Density { texels_per_m });
+    }
+    Ok(())
+}
+
+fn check_page_size(page_size_texel: u32) -> Result<(), PackError> {
+    if !page_size_texel.is_power_of_two() || !(64..=MAX_PAGE_TEXEL).contains(&page_size_texel) {
+        return Err(PackError::PageSize { page_size_texel });
     }
     Ok(())
 }
@@ -295,70 +346,240 @@ fn frames<C: PlaneChart>(charts: &[C]) -> Vec<ChartFrame> {
         .collect()
 }
 
-fn shape_all<C: PlaneChart>(
-    charts: &[C],
-    frames: &[ChartFrame],
-    texels_per_m: f64,
-    params: &PackParams,
-) -> Vec<ShapedChart> {
-    charts
-        .par_iter()
-        .zip(frames)
-        .map(|(chart, frame)| shape::shape(chart, frame, texels_per_m, params))
-        .collect()
+/// All charts at one density: their pieces and the cells that these need.
+struct Shapes {
+    pieces: Vec<Piece>,
+    footprints: Vec<Footprint>,
+    num_moved_triangles: usize,
 }
 
-fn place_all(shaped: &[ShapedChart], params: &PackParams) -> Option<Placement> {
-    let rects: Vec<[u32; 2]> = shaped
-        .iter()
-        .flat_map(|s| &s.pieces)
-        .map(shape::Piece::rect_texel)
-        .collect();
-    place::place(&rects, params.page_size_texel, params.max_texels)
-}
+impl Shapes {
+    fn at<C: PlaneChart>(
+        charts: &[C],
+        frames: &[ChartFrame],
+        texels_per_m: f64,
+        params: &PackParams,
+    ) -> Self {
+        let room_texel = params.room_texel();
+        let shaped: Vec<ShapedChart> = charts
+            .par_iter()
+            .zip(frames)
+            .map(|(chart, frame)| shape::shape(chart, frame, texels_per_m, room_texel))
+            .collect();
+        let num_moved_triangles = shaped.iter().map(|s| s.num_moved_triangles).sum();
+        let pieces: Vec<Piece> = shaped.into_iter().flat_map(|s| s.pieces).collect();
+        let footprints = pieces
+            .par_iter()
+            .map(|piece| {
+                if piece.is_own_texel {
+                    footprint::single_cell(params.cell_texel())
+                } else {
+                    footprint::footprint(&piece.corners, piece.size_texel, params.gutter_texel)
+                }
+            })
+            .collect();
+        Self {
+            pieces,
+            footprints,
+            num_moved_triangles,
+        }
+    }
 
-fn report(
-    frames: &[ChartFrame],
-    shaped: &[ShapedChart],
-    placement: &Placement,
-    texels_per_m: f64,
-    params: &PackParams,
-) -> PackReport {
-    let scales = frames.iter().map(|f| f.scale(texels_per_m, params));
-    let num_texels = |[width, height]: [u32; 2]| f64::from(width) * f64::from(height);
-    let in_rects: f64 = shaped
-        .iter()
-        .flat_map(|s| &s.pieces)
-        .map(|piece| num_texels(piece.rect_texel()))
-        .sum();
-    let on_pages = num_texels(placement.page_size_texel) * f64::from(placement.num_pages);
-    let count = |of: fn(&ShapedChart) -> usize| shaped.iter().map(of).sum();
-    PackReport {
-        num_rects: placement.spots.len(),
-        page_fill: in_rects / on_pages,
-        num_owned_texels: count(|s| s.num_owned_texels),
-        num_scaled_charts: scales.clone().filter(|scale| *scale < 1.0).count(),
-        smallest_scale: scales.fold(1.0, f64::min),
-        num_own_texel_triangles: count(|s| s.num_own_texel_triangles),
-        num_subtexel_triangles: count(|s| s.num_subtexel_triangles),
-        num_moved_triangles: count(|s| s.num_moved_triangles),
+    fn num_texels(&self, params: &PackParams) -> f64 {
+        let num_cells: usize = self.footprints.iter().map(|f| f.cells.num_cells()).sum();
+        num_cells as f64 * f64::from(params.cell_texel()).powi(2)
+    }
+
+    fn over_budget(&self, texels_per_m: f64, params: &PackParams) -> PackError {
+        PackError::OverBudget {
+            num_charts: self.pieces.len(),
+            texels_per_m,
+            max_texels: params.max_texels,
+        }
+    }
+
+    /// Places all; nothing when the budget does not hold them. What a turn makes two triangles
+    /// claim, because a texel's centre lies on an edge, is placed anew without a turn.
+    fn arrange(&self, params: &PackParams) -> Option<Arranged<'_>> {
+        let limits = PageLimits {
+            cell_texel: params.cell_texel(),
+            max_side_texel: params.page_size_texel,
+            max_texels: params.max_texels,
+        };
+        let mut arrangement = arrange::arrange(&self.footprints, &limits)?;
+        let turns: Vec<QuarterTurn> = arrangement.slots.iter().map(|slot| slot.turn).collect();
+        let claims_if_kept: Vec<Option<Claims>> = self
+            .pieces
+            .par_iter()
+            .zip(&self.footprints)
+            .zip(turns)
+            .map(|((piece, footprint), turn)| {
+                if turn == QuarterTurn::None {
+                    return Some(piece.claims);
+                }
+                let frame_texel = footprint.cells.size().map(|n| n * limits.cell_texel);
+                let corners = turned(piece, footprint.start_texel, frame_texel, turn);
+                shape::claim_all(&corners, turn.size(frame_texel))
+            })
+            .collect();
+        let mut claims = Vec::with_capacity(self.pieces.len());
+        for (index, kept) in claims_if_kept.into_iter().enumerate() {
+            if kept.is_none() && !arrangement.replace_upright(index, &self.footprints[index]) {
+                return None;
+            }
+            claims.push(kept.unwrap_or(self.pieces[index].claims));
+        }
+        let [width, height] = arrangement.page_size_texel().map(u64::from);
+        let num_texels = width * height * u64::from(arrangement.num_pages());
+        (num_texels <= params.max_texels).then_some(Arranged {
+            shapes: self,
+            arrangement,
+            claims,
+        })
     }
 }
 
+struct Arranged<'a> {
+    shapes: &'a Shapes,
+    arrangement: Arrangement,
+    /// What each piece owns as it lies.
+    claims: Vec<Claims>,
+}
+
+impl Arranged<'_> {
+    fn lay_out(
+        &self,
+        frames: &[ChartFrame],
+        num_triangles: usize,
+        texels_per_m: f64,
+        params: &PackParams,
+    ) -> (AtlasLayout, PackReport) {
+        let pages = Pages {
+            size_texel: self.arrangement.page_size_texel(),
+            num_pages: self.arrangement.num_pages(),
+            cell_texel: params.cell_texel(),
+        };
+        let laid: Vec<LaidPiece<'_>> = (0..self.shapes.pieces.len())
+            .into_par_iter()
+            .map(|index| {
+                let footprint = &self.shapes.footprints[index];
+                let slot = &self.arrangement.slots[index];
+                let piece = &self.shapes.pieces[index];
+                LaidPiece {
+                    claims: self.claims[index],
+                    ..LaidPiece::in_slot(piece, footprint, slot, pages.cell_texel)
+                }
+            })
+            .collect();
+        let (layout, mut report) = lay_out(laid, &pages, num_triangles, texels_per_m);
+        let scales = frames
+            .iter()
+            .map(|f| f.scale(texels_per_m, params.room_texel()));
+        report.num_scaled_charts = scales.clone().filter(|scale| *scale < 1.0).count();
+        report.smallest_scale = scales.fold(1.0, f64::min);
+        report.num_moved_triangles = self.shapes.num_moved_triangles;
+        (layout, report)
+    }
+}
+
+/// Corners within the turned rectangle of a piece's cells, which is `frame_texel` before the turn.
+fn turned(
+    piece: &Piece,
+    start_texel: [u32; 2],
+    frame_texel: [u32; 2],
+    turn: QuarterTurn,
+) -> Vec<[SubtexelPoint; 3]> {
+    let subtexels = |texels: u32| i64::from(texels) * i64::from(SUBTEXELS);
+    let start = start_texel.map(subtexels);
+    let frame = frame_texel.map(subtexels);
+    let place = |[x, y]: SubtexelPoint| turn.point([x + start[0], y + start[1]], frame);
+    piece
+        .corners
+        .iter()
+        .map(|corners| corners.map(place))
+        .collect()
+}
+
+struct Pages {
+    size_texel: [u32; 2],
+    num_pages: u32,
+    cell_texel: u32,
+}
+
+/// A piece where it lies on its page.
+struct LaidPiece<'a> {
+    piece: &'a Piece,
+    page: u32,
+    rect: TexelRect,
+    cells: CellMask,
+    /// Within the rectangle.
+    corners: Vec<[SubtexelPoint; 3]>,
+    claims: Claims,
+}
+
+impl<'a> LaidPiece<'a> {
+    fn in_slot(
+        piece: &'a Piece,
+        footprint: &Footprint,
+        slot: &allocator::Slot,
+        cell_texel: u32,
+    ) -> Self {
+        let frame_texel = footprint.cells.size().map(|side| side * cell_texel);
+        let corners = turned(piece, footprint.start_texel, frame_texel, slot.turn);
+        let [width, height] = slot.turn.size(frame_texel);
+        Self {
+            piece,
+            page: slot.page,
+            rect: TexelRect {
+                x: slot.cell[0] * cell_texel,
+                y: slot.cell[1] * cell_texel,
+                width,
+                height,
+            },
+            cells: footprint.cells.turned(slot.turn),
+            claims: piece.claims,
+            corners,
+        }
+    }
+
+    fn in_rect(piece: &'a Piece, page: u32, rect: TexelRect) -> Self {
+        Self {
+            piece,
+            page,
+            rect,
+            cells: CellMask::full([1, 1]),
+            claims: piece.claims,
+            corners: piece.corners.clone(),
+        }
+    }
+}
+
+/// The layout, and the part of the report that can be read off it.
 fn lay_out(
-    shaped: Vec<ShapedChart>,
-    placement: &Placement,
+    laid: Vec<LaidPiece<'_>>,
+    pages: &Pages,
     num_triangles: usize,
     texels_per_m: f64,
-) -> AtlasLayout {
+) -> (AtlasLayout, PackReport) {
     let mut chart_of_triangle = vec![ChartId(0); num_triangles];
     let mut corners_texel = vec![[[0.0; 2]; 3]; num_triangles];
-    let mut charts = Vec::with_capacity(placement.spots.len());
-    let pieces = shaped.into_iter().flat_map(|s| s.pieces);
-    for (id, (piece, spot)) in (0u32..).zip(pieces.zip(&placement.spots)) {
-        let [width, height] = piece.rect_texel();
-        let origin = [spot.x, spot.y].map(|v| i64::from(v + piece.gutter_texel));
-        for (triangle, corners) in piece.triangles.iter().zip(&piece.corners) {
+    let mut charts = Vec::with_capacity(laid.len());
+    let mut report = PackReport {
+        num_charts: laid.len(),
+        cell_texel: pages.cell_texel,
+        covered_share: 0.0,
+        footprint_share: 0.0,
+        num_owned_texels: 0,
+        num_scaled_charts: 0,
+        smallest_scale: 1.0,
+        num_own_texel_triangles: 0,
+        num_subtexel_triangles: 0,
+        num_moved_triangles: 0,
+    };
+    let mut num_in_charts = 0;
+    for (id, laid) in (0u32..).zip(laid) {
+        let origin = [laid.rect.x, laid.rect.y].map(i64::from);
+        for (triangle, corners) in laid.piece.triangles.iter().zip(&laid.corners) {
             chart_of_triangle[triangle.index()] = ChartId(id);
             corners_texel[triangle.index()] = corners.map(|corner| {
                 std::array::from_fn(|axis| {
@@ -368,25 +589,33 @@ fn lay_out(
                 })
             });
         }
-        charts.push(PlacedChart {
-            page: spot.page,
-            rect: TexelRect {
-                x: spot.x,
-                y: spot.y,
-                width,
-                height,
-            },
-            triangles: piece.triangles,
-        });
+        report.num_owned_texels += laid.claims.num_owned_texels;
+        report.num_subtexel_triangles += laid.claims.num_subtexel_triangles;
+        report.num_own_texel_triangles += usize::from(laid.piece.is_own_texel);
+        let chart = PlacedChart {
+            page: laid.page,
+            rect: laid.rect,
+            cells: laid.cells,
+            texels_per_m: laid.piece.texels_per_m,
+            triangles: laid.piece.triangles.clone(),
+        };
+        let [width, height] = chart.cell_size_texel();
+        num_in_charts += chart.cells.num_cells() * (width * height) as usize;
+        charts.push(chart);
     }
-    AtlasLayout {
-        page_size_texel: placement.page_size_texel,
-        num_pages: placement.num_pages,
+    let [width, height] = pages.size_texel.map(f64::from);
+    let on_pages = width * height * f64::from(pages.num_pages);
+    report.covered_share = report.num_owned_texels as f64 / on_pages;
+    report.footprint_share = num_in_charts as f64 / on_pages;
+    let layout = AtlasLayout {
+        page_size_texel: pages.size_texel,
+        num_pages: pages.num_pages,
         texels_per_m,
         charts,
         chart_of_triangle,
         corners_texel,
-    }
+    };
+    (layout, report)
 }
 
 #[cfg(test)]

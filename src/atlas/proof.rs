@@ -6,7 +6,7 @@ use super::layout::AtlasLayout;
 use super::texels::for_each_texel_within;
 
 /// Number of texels whose centre more than one triangle owns, over all pages; 0 for every layout
-/// that [`super::pack()`] returns. It goes by corners alone, not by rectangles. Texels outside a
+/// that [`super::pack()`] returns. It goes by corners alone, not by cells. Texels outside a
 /// page belong to nobody.
 pub fn num_shared_texels(layout: &AtlasLayout) -> usize {
     let shared_by_page: Vec<usize> = (0..layout.num_pages)
@@ -74,10 +74,8 @@ mod tests {
             width: 16,
             height: 16,
         };
-        let chart = |page: u32, triangle: u32| PlacedChart {
-            page,
-            rect,
-            triangles: vec![TriangleId(triangle)],
+        let chart = |page: u32, triangle: u32| {
+            PlacedChart::whole_rect(page, rect, 1.0, vec![TriangleId(triangle)])
         };
         AtlasLayout {
             page_size_texel: [16, 16],

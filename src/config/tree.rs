@@ -6,6 +6,7 @@ use crate::export::NormalMode;
 use crate::export::pages::PageFormat;
 use crate::ingest::PoseSource;
 use crate::texinit::TexInitParams;
+use crate::texinit::density::SizeRule;
 use crate::texinit::flatten::ChartMode;
 use crate::texinit::overlap::OverlapForm;
 use crate::texinit::transfer::TransferMode;
@@ -147,6 +148,8 @@ pub const PARAMETERS: &[Parameter] = &[
         Float32(|c| &mut c.pipeline.texinit.assign.exposure_weight, 0.0, 100.0)),
     row("texinit.pairwise_weight", "", "ω4: reward for equal frames on adjacent triangles (cue C4); 0 decides each alone.",
         Access::Custom { range: "0 ..= 100", set: set_pairwise_weight, get: pairwise_weight }),
+    row("texinit.size_rule", "", "One density for all charts (density), or square plates of fixed size, each filled by itself (paper).",
+        Choice { words: &["density", "paper"], set: set_size_rule, get: size_rule }),
     row("texinit.texels_per_m", "1/m", "Density of the texture; 0 takes it from the images.",
         Float(|c| &mut c.pipeline.texinit.density.texels_per_m, 0.0, 1e5)),
     row("texinit.density_quantile", "", "Share of the seen area whose best pixels are no smaller than a texel.",
@@ -157,8 +160,8 @@ pub const PARAMETERS: &[Parameter] = &[
         Access::Custom { range: "4096 ..= 17179869184", set: set_max_texels, get: max_texels }),
     row("texinit.page_size_texel", "", "Largest side of a page, a power of two.",
         Choice { words: &["256", "512", "1024", "2048", "4096", "8192", "16384"], set: set_page_size, get: page_size }),
-    row("texinit.gutter_texel", "", "Texels around each chart that repeat its border.",
-        Int(|c| &mut c.pipeline.texinit.pack.gutter_texel, 2, 16)),
+    row("texinit.gutter_texel", "", "Texels around each chart that repeat its border: 1, 2, 4 or 8 keep charts apart in mipmaps up to level 1, 2, 3 or 4.",
+        Int(|c| &mut c.pipeline.texinit.pack.gutter_texel, 1, 8)),
     row("texinit.max_samples", "", "Samples along each side of a texel where the image is finer.",
         Int(|c| &mut c.pipeline.texinit.transfer.max_samples, 1, 16)),
 
@@ -237,6 +240,20 @@ fn init(config: &Config) -> &'static str {
     match config.pipeline.texinit.transfer.mode {
         TransferMode::Assigned => "assigned",
         TransferMode::L2Avg => "l2avg",
+    }
+}
+
+fn set_size_rule(config: &mut Config, word: &str) {
+    config.pipeline.texinit.size_rule = match word {
+        "paper" => SizeRule::Paper,
+        _ => SizeRule::Density,
+    };
+}
+
+fn size_rule(config: &Config) -> &'static str {
+    match config.pipeline.texinit.size_rule {
+        SizeRule::Density => "density",
+        SizeRule::Paper => "paper",
     }
 }
 

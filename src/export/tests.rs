@@ -21,15 +21,18 @@ pub(super) fn two_pages() -> (TriMesh, AtlasLayout, AtlasTexture) {
     let (mesh, _) = TriMesh::from_soup(positions, triangles).unwrap();
     let lower = [[2.0, 14.0], [14.0, 14.0], [14.0, 2.0]];
     let upper = [[2.0, 14.0], [14.0, 2.0], [2.0, 2.0]];
-    let chart = |page, triangles: [u32; 2]| PlacedChart {
-        page,
-        rect: TexelRect {
-            x: 0,
-            y: 0,
-            width: 16,
-            height: 16,
-        },
-        triangles: triangles.map(TriangleId).to_vec(),
+    let chart = |page, triangles: [u32; 2]| {
+        PlacedChart::whole_rect(
+            page,
+            TexelRect {
+                x: 0,
+                y: 0,
+                width: 16,
+                height: 16,
+            },
+            12.0,
+            triangles.map(TriangleId).to_vec(),
+        )
     };
     let layout = AtlasLayout {
         page_size_texel: [16, 16],
@@ -232,11 +235,7 @@ proptest! {
             num_pages: 3,
             texels_per_m: 1.0,
             charts: (0..3)
-                .map(|page| PlacedChart {
-                    page,
-                    rect: TexelRect { x: 0, y: 0, width: 16, height: 16 },
-                    triangles: vec![],
-                })
+                .map(|page| PlacedChart::whole_rect(page, TexelRect { x: 0, y: 0, width: 16, height: 16 }, 12.0, vec![]))
                 .collect(),
             chart_of_triangle: pages[..num_triangles].iter().map(|&p| ChartId(p)).collect(),
             corners_texel: (0..num_triangles)

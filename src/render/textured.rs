@@ -246,11 +246,12 @@ mod tests {
             page_size_texel: [104, 104],
             num_pages: 1,
             texels_per_m: 100.0,
-            charts: vec![PlacedChart {
-                page: 0,
+            charts: vec![PlacedChart::whole_rect(
+                0,
                 rect,
-                triangles: mesh.triangle_ids().collect(),
-            }],
+                100.0,
+                mesh.triangle_ids().collect(),
+            )],
             chart_of_triangle: vec![ChartId(0); 2],
             corners_texel,
         };

@@ -190,6 +190,15 @@ pub struct AtlasSummary {
     pub used_share: f64,
     /// Share of all texels that are gutter.
     pub gutter_share: f64,
+    /// Share of all texels that belong to a chart, its gutter included: no other may use them.
+    pub footprint_share: f64,
+    /// Texels per square metre of surface: a twentieth of the triangles has less, a twentieth has
+    /// more.
+    pub texels_per_m2_by_triangle: [f64; 2],
+    /// The same of the surface's area.
+    pub texels_per_m2_by_area: [f64; 2],
+    /// Share of the triangles that are smaller than a texel.
+    pub subtexel_share: f64,
 }
 
 /// Where the covered texels' colours came from; the first four add up to the used texels.

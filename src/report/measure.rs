@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
-use crate::atlas::{TexelSource, TexturePage};
+use crate::atlas::{DensitySpread, PlacedChart, TexelSource, TexturePage};
 use crate::export::TexturedMesh;
 use crate::mesh::{TriMesh, TriangleId};
 use crate::metrics::{PixelError, SsimChannels, ssim};
@@ -173,12 +173,23 @@ fn atlas_summary(textured: &TexturedMesh<'_>, tally: &SourceTally) -> AtlasSumma
     let layout = textured.layout();
     let [width, height] = layout.page_size_texel.map(u64::from);
     let num_texels = width * height * u64::from(layout.num_pages);
+    let num_in_charts = layout
+        .charts
+        .iter()
+        .flat_map(PlacedChart::own_spans)
+        .map(|(_, _, len)| u64::from(len))
+        .sum();
+    let spread = DensitySpread::of(textured.mesh(), layout);
     AtlasSummary {
         num_pages: layout.num_pages as usize,
         page_size_texel: layout.page_size_texel,
         texels_per_m: layout.texels_per_m,
         used_share: share(num_covered(tally), num_texels),
         gutter_share: share(tally.get(TexelSource::GUTTER).num_texels, num_texels),
+        footprint_share: share(num_in_charts, num_texels),
+        texels_per_m2_by_triangle: spread.texels_per_m2_by_triangle,
+        texels_per_m2_by_area: spread.texels_per_m2_by_area,
+        subtexel_share: spread.subtexel_share,
     }
 }
 

@@ -60,8 +60,10 @@ pub fn charts(
         let columns = scaled_range(rect.x, rect.width, page.width, width);
         for y in scaled_range(rect.y, rect.height, page.height, height) {
             for x in columns.clone() {
+                let [column, row] = texel_at(page, size, [x, y]);
                 let source = page.source[texel_under(page, size, [x, y])];
-                if source != TexelSource::NONE && source != TexelSource::GUTTER {
+                let is_painted = source != TexelSource::NONE && source != TexelSource::GUTTER;
+                if is_painted && placed.owns(column, row) {
                     chart_at[y as usize * width as usize + x as usize] = chart;
                 }
             }
@@ -99,10 +101,18 @@ fn sampled(
 }
 
 /// Index of the texel under the middle of a picture's pixel.
-fn texel_under(page: &TexturePage, [width, height]: [u32; 2], [x, y]: [u32; 2]) -> usize {
-    let middle =
-        |i: u32, new: u32, old: u32| (2 * i as usize + 1) * old as usize / (2 * new as usize);
-    middle(y, height, page.height) * page.width as usize + middle(x, width, page.width)
+fn texel_under(page: &TexturePage, size: [u32; 2], pixel: [u32; 2]) -> usize {
+    let [x, y] = texel_at(page, size, pixel);
+    y as usize * page.width as usize + x as usize
+}
+
+/// Column and row of the texel under the middle of a picture's pixel.
+fn texel_at(page: &TexturePage, [width, height]: [u32; 2], [x, y]: [u32; 2]) -> [u32; 2] {
+    let middle = |i: u32, new: u32, old: u32| {
+        let texel = (2 * u64::from(i) + 1) * u64::from(old) / (2 * u64::from(new));
+        u32::try_from(texel).unwrap_or(u32::MAX)
+    };
+    [middle(x, width, page.width), middle(y, height, page.height)]
 }
 
 /// Pixels of the picture whose middle texel lies in `start..start + length`.

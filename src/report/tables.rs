@@ -281,6 +281,16 @@ fn atlas_rows(report: &Report) -> Vec<Vec<String>> {
             ),
         ),
         pair("gutter", percent(atlas.gutter_share)),
+        pair("of charts, gutter included", percent(atlas.footprint_share)),
+        pair("texels per m², 5–95 % of triangles", {
+            let [low, high] = atlas.texels_per_m2_by_triangle;
+            format!("{low:.0}–{high:.0}")
+        }),
+        pair("texels per m², 5–95 % of area", {
+            let [low, high] = atlas.texels_per_m2_by_area;
+            format!("{low:.0}–{high:.0}")
+        }),
+        pair("triangles below a texel", percent(atlas.subtexel_share)),
         pair("from one keyframe", percent(coverage.keyframe_share)),
         pair("mean of frames", percent(coverage.mean_share)),
         pair("never seen, filled", percent(coverage.diffused_share)),

@@ -16,16 +16,17 @@ fn square() -> (TriMesh, AtlasLayout, AtlasTexture) {
         page_size_texel: [32, 16],
         num_pages: 1,
         texels_per_m: 8.0,
-        charts: vec![PlacedChart {
-            page: 0,
-            rect: TexelRect {
+        charts: vec![PlacedChart::whole_rect(
+            0,
+            TexelRect {
                 x: 0,
                 y: 0,
                 width: 20,
                 height: 12,
             },
-            triangles: vec![TriangleId(0), TriangleId(1)],
-        }],
+            100.0,
+            vec![TriangleId(0), TriangleId(1)],
+        )],
         chart_of_triangle: vec![ChartId(0); 2],
         corners_texel: vec![
             [[2.0, 10.0], [18.0, 10.0], [18.0, 2.0]],
@@ -116,6 +117,11 @@ fn measures_what_was_painted() {
     assert_eq!(coverage.unpainted_area_share, 0.0);
     assert_eq!(report.atlas.used_share, 0.25);
     assert_eq!(report.atlas.gutter_share, (240.0 - 128.0) / 512.0);
+    assert_eq!(report.atlas.footprint_share, 240.0 / 512.0);
+    // Two triangles of 64 texels on a square metre each.
+    assert_eq!(report.atlas.texels_per_m2_by_triangle, [64.0; 2]);
+    assert_eq!(report.atlas.texels_per_m2_by_area, [64.0; 2]);
+    assert_eq!(report.atlas.subtexel_share, 0.0);
     assert_eq!(
         (report.mesh.area_m2, report.mesh.size_m),
         (2.0, [2.0, 1.0, 0.0])

@@ -177,11 +177,8 @@ fn layout(patches: &[Patch], placement: &Placement, texels_per_m: f64) -> AtlasL
                 corner
             }));
         }
-        layout.charts.push(PlacedChart {
-            page: *page,
-            rect: *rect,
-            triangles,
-        });
+        let placed = PlacedChart::whole_rect(*page, *rect, texels_per_m, triangles);
+        layout.charts.push(placed);
     }
     layout
 }

@@ -169,16 +169,17 @@ impl Scene {
                     ]
                 }));
             }
-            charts.push(PlacedChart {
-                page: 0,
-                rect: TexelRect {
+            charts.push(PlacedChart::whole_rect(
+                0,
+                TexelRect {
                     x: x as u32,
                     y: 0,
                     width: size[0] as u32 + 4,
                     height: size[1] as u32 + 4,
                 },
+                texels_per_m,
                 triangles,
-            });
+            ));
             x += size[0].ceil() + 4.0;
             height = height.max(size[1]);
         }

@@ -1,10 +1,31 @@
-//! One texel density for the whole mesh, taken from the images.
+//! How many texels the mesh gets: one density for all of it, taken from the images, or the paper's
+//! plates.
 //!
 //! A texel should be about as large as the best pixel that sees it. One density for all charts
 //! keeps the texture evenly sharp and its seams free of jumps in resolution; the paper's plates,
 //! each scaled to fill its square, spread over three orders of magnitude (method, 1.3).
 
 use crate::mesh::TriMesh;
+
+/// What decides how many texels there are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub enum SizeRule {
+    /// One density for all charts, taken from the images and lowered to the budget.
+    #[default]
+    Density,
+    /// Square plates of a side that goes by the images' size, each filled by itself.
+    Paper,
+}
+
+/// Side of a plate for images whose longer side is `longer_side_px` (the paper's supplement gives it
+/// for 480, 960 and 1920 pixels); what lies between gets the plate of the next larger one.
+pub fn paper_plate_texel(longer_side_px: u32) -> u32 {
+    match longer_side_px {
+        0..=480 => 512,
+        481..=960 => 1024,
+        _ => 2048,
+    }
+}
 
 /// How dense texels lie on the surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -88,6 +109,12 @@ mod tests {
         assert_eq!(quantile(0.2), 100.0);
         assert_eq!(quantile(0.3), 300.0);
         assert_eq!(quantile(1.0), 300.0);
+    }
+
+    #[test]
+    fn plates_are_those_of_the_paper() {
+        assert_eq!([480, 960, 1920].map(paper_plate_texel), [512, 1024, 2048]);
+        assert_eq!([0, 640, 1440].map(paper_plate_texel), [512, 1024, 2048]);
     }
 
     #[test]

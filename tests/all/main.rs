@@ -21,6 +21,7 @@ mod import;
 mod interrupt;
 mod lens;
 mod mesh_types;
+mod mips;
 mod overlap;
 mod python;
 mod replay;

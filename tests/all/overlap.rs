@@ -10,7 +10,10 @@
 use std::f64::consts::TAU;
 
 use nalgebra::{Point3, Vector3};
-use veneer::atlas::{AtlasLayout, PackParams, PackReport, TexelRect, num_shared_texels, pack};
+use veneer::atlas::{
+    AtlasLayout, DensitySpread, PackParams, PackReport, TexelRect, num_shared_texels, pack,
+    pack_plates,
+};
 use veneer::import::mesh_file;
 use veneer::mesh::TriMesh;
 use veneer::texinit::flatten::{ChartMode, FlatChart, FlattenParams, flatten};
@@ -71,7 +74,8 @@ fn check_layout(mesh: &TriMesh, placed: &Placed) {
     );
     assert!(num_owned as f64 > 0.5 * NUM_TEXELS, "{num_owned} texels");
     check_every_triangle_has_its_place(mesh, layout);
-    check_rects_are_apart(layout);
+    let gutter_texel = PackParams::default().gutter_texel as f32;
+    check_cells_are_apart(layout, gutter_texel - 0.01);
 }
 
 fn check_every_triangle_has_its_place(mesh: &TriMesh, layout: &AtlasLayout) {
@@ -104,21 +108,53 @@ fn check_every_triangle_has_its_place(mesh: &TriMesh, layout: &AtlasLayout) {
     assert!(is_placed.iter().all(|p| *p), "a triangle is in no chart");
 }
 
-fn check_rects_are_apart(layout: &AtlasLayout) {
-    let [page_width, page_height] = layout.page_size_texel;
-    let mut rects: Vec<(u32, TexelRect)> = layout.charts.iter().map(|c| (c.page, c.rect)).collect();
-    rects.sort_by_key(|(page, rect)| (*page, rect.x, rect.y));
-    for (i, (page, rect)) in rects.iter().enumerate() {
-        assert!(*page < layout.num_pages);
-        assert!(rect.width > 0 && rect.height > 0, "{rect:?} is empty");
-        let is_on_page = rect.x + rect.width <= page_width && rect.y + rect.height <= page_height;
-        assert!(is_on_page, "{rect:?} leaves its page");
-        let beside = rects[i + 1..]
-            .iter()
-            .take_while(|(p, r)| p == page && r.x < rect.x + rect.width);
-        for (_, other) in beside {
-            let is_apart = other.y >= rect.y + rect.height || rect.y >= other.y + other.height;
-            assert!(is_apart, "{rect:?} and {other:?} intersect on page {page}");
+/// No texel belongs to two charts, and what a triangle covers belongs to its own. Where `reach_texel`
+/// is not 0, so does everything within it, across and down, of the triangle's corners.
+fn check_cells_are_apart(layout: &AtlasLayout, reach_texel: f32) {
+    const NOBODY: u32 = u32::MAX;
+    let [width, height] = layout.page_size_texel.map(|side| side as usize);
+    let mut owner = vec![NOBODY; width * height * layout.num_pages as usize];
+    for (id, chart) in (0u32..).zip(&layout.charts) {
+        assert!(chart.page < layout.num_pages);
+        let TexelRect { x, y, .. } = chart.rect;
+        let is_on_page = chart.rect.width as usize + x as usize <= width
+            && chart.rect.height as usize + y as usize <= height;
+        assert!(is_on_page, "{:?} leaves its page", chart.rect);
+        let [columns, rows] = chart.cells.size();
+        let cell = [chart.rect.width / columns, chart.rect.height / rows];
+        assert_eq!(
+            [columns * cell[0], rows * cell[1]],
+            [chart.rect.width, chart.rect.height]
+        );
+        for v in y..y + chart.rect.height {
+            for u in x..x + chart.rect.width {
+                if chart.cells.contains((u - x) / cell[0], (v - y) / cell[1]) {
+                    let row = chart.page as usize * height + v as usize;
+                    let owner = &mut owner[row * width + u as usize];
+                    assert_eq!(*owner, NOBODY, "{u}, {v} on page {}", chart.page);
+                    *owner = id;
+                }
+            }
+        }
+    }
+    for (corners, chart) in layout.corners_texel.iter().zip(&layout.chart_of_triangle) {
+        let first_row = layout.charts[chart.index()].page as usize * height;
+        let owner_of = |[u, v]: [f32; 2]| owner[(first_row + v as usize) * width + u as usize];
+        let [a, b, c] = corners.map(|corner| corner.map(f64::from));
+        // Those with a texel of their own have their cell and nothing around it.
+        let is_large = cross(&a, &b, &c).abs() > 1.0;
+        let centre =
+            [0, 1].map(|axis| (corners[0][axis] + corners[1][axis] + corners[2][axis]) / 3.0);
+        assert_eq!(owner_of(centre), chart.0);
+        for corner in corners.iter().filter(|_| is_large && reach_texel > 0.0) {
+            for [right, down] in [[-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0], [1.0, 1.0]] {
+                let near = [
+                    corner[0] + right * reach_texel,
+                    corner[1] + down * reach_texel,
+                ];
+                assert!(near[0] >= 0.0 && near[1] >= 0.0);
+                assert_eq!(owner_of(near), chart.0, "{corner:?}");
+            }
         }
     }
 }
@@ -156,8 +192,45 @@ fn no_texel_of_the_apartment_is_shared_with_a_chart_per_component() {
 }
 
 #[test]
-fn no_texel_of_the_board_is_shared() {
-    check_capture("charuco_lidar", ChartMode::Streaming);
+fn no_texel_of_the_apartment_is_shared_on_the_papers_plates() {
+    let Some(folder) = capture("apt0_structure") else {
+        return;
+    };
+    let (mesh, _) = mesh_file::read(&folder.join("mesh.ply")).unwrap();
+    let placed = place(&mesh, ChartMode::Paper);
+    let params = PackParams::default();
+    let num_triangles = mesh.num_triangles();
+    let (layout, report) = pack_plates(&placed.separated, num_triangles, 1024, &params).unwrap();
+    assert_eq!(layout.page_size_texel, [1024; 2]);
+    assert_eq!(num_shared_texels(&layout), 0);
+    let [num_single, num_shared] = claimed_texels(&layout);
+    assert_eq!(num_shared, 0, "beside {num_single} with one owner");
+    assert!(num_single > report.num_owned_texels * 9 / 10);
+    check_every_triangle_has_its_place(&mesh, &layout);
+    check_cells_are_apart(&layout, 0.0);
+    // Each plate has a density of its own, unlike the pages.
+    let ratio = |layout: &AtlasLayout| {
+        let [low, high] = DensitySpread::of(&mesh, layout).texels_per_m2_by_triangle;
+        high / low
+    };
+    assert!(
+        ratio(&layout) > 3.0 * ratio(&placed.layout),
+        "{}",
+        ratio(&layout)
+    );
+}
+
+#[test]
+fn the_captures_fill_their_pages() {
+    // Below what was measured: 0.86 and 0.77, of which triangles own 0.70 and 0.71.
+    for (name, footprints, covered) in [("apt0_structure", 0.8, 0.6), ("charuco_lidar", 0.7, 0.62)]
+    {
+        if let Some(placed) = check_capture(name, ChartMode::Streaming) {
+            let pack = &placed.pack;
+            assert!(pack.footprint_share > footprints, "{name}: {pack:?}");
+            assert!(pack.covered_share > covered, "{name}: {pack:?}");
+        }
+    }
 }
 
 #[test]

@@ -59,13 +59,15 @@ impl Room {
         let panels = panels();
         let (mesh, chart_of_triangle, corners_texel, first_triangle) = triangulate(&panels);
         let charts = (0..panels.len())
-            .map(|index| PlacedChart {
-                page: panels[index].page,
-                rect: rect(&panels[index]),
-                triangles: mesh
-                    .triangle_ids()
-                    .filter(|t| chart_of_triangle[t.index()].index() == index)
-                    .collect(),
+            .map(|index| {
+                PlacedChart::whole_rect(
+                    panels[index].page,
+                    rect(&panels[index]),
+                    DENSITY,
+                    mesh.triangle_ids()
+                        .filter(|t| chart_of_triangle[t.index()].index() == index)
+                        .collect(),
+                )
             })
             .collect();
         let layout = AtlasLayout {

@@ -1,8 +1,8 @@
 //! From a chart in metres to pieces in subtexels: turned, scaled, put on the grid, and free of
 //! shared texels by construction.
 
+use super::PlaneChart;
 use super::bounding_rect;
-use super::{PackParams, PlaneChart};
 use crate::atlas::proof::TexelSet;
 use crate::atlas::texels::{self, MAX_PAGE_TEXEL, SUBTEXELS, SubtexelPoint};
 use crate::mesh::TriangleId;
@@ -10,9 +10,6 @@ use crate::mesh::TriangleId;
 /// Where charts start within their first texel, tried in order until no texel is shared: rounding
 /// to the grid can turn a needle over, and then it may claim the centre that it lies next to.
 const STARTS_SUBTEXEL: [[i64; 2]; 4] = [[0, 0], [337, 211], [149, 683], [701, 467]];
-
-/// Gutter of a triangle with a texel of its own, which has no area and so no mipmap.
-const OWN_TEXEL_GUTTER: u32 = 2;
 
 /// Corners of a triangle that owns just the texel (0, 0), counter-clockwise seen with y up.
 const OWN_TEXEL: [SubtexelPoint; 3] = [[256, 768], [768, 768], [512, 256]];
@@ -27,6 +24,8 @@ pub(super) struct ChartFrame {
     min: [f64; 2],
     /// Length of the sides, the longer one first.
     pub(super) extent_m: [f64; 2],
+    /// Of all triangles together.
+    pub(super) area_m2: f64,
     is_laid_out: Vec<bool>,
 }
 
@@ -61,17 +60,24 @@ impl ChartFrame {
             along,
             min,
             extent_m: [max[0] - min[0], max[1] - min[1]],
+            area_m2: chart
+                .corners_m()
+                .iter()
+                .zip(&is_laid_out)
+                .filter(|(_, ok)| **ok)
+                .map(|([a, b, c], _)| {
+                    0.5 * ((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])).abs()
+                })
+                .sum(),
             is_laid_out,
         }
     }
 
-    /// How much smaller than asked the chart is drawn to fit a page.
-    pub(super) fn scale(&self, texels_per_m: f64, params: &PackParams) -> f64 {
-        // One texel less: a start within the first texel may need another one.
-        let room = params.page_size_texel - 2 * params.gutter_texel - 1;
+    /// How much smaller than asked the chart is drawn to be at most `room_texel` long.
+    pub(super) fn scale(&self, texels_per_m: f64, room_texel: u32) -> f64 {
         let longest_texel = self.extent_m[0].max(self.extent_m[1]) * texels_per_m;
-        if longest_texel > f64::from(room) {
-            f64::from(room) / longest_texel
+        if longest_texel > f64::from(room_texel) {
+            f64::from(room_texel) / longest_texel
         } else {
             1.0
         }
@@ -94,27 +100,33 @@ fn turned(along: [f64; 2], p: [f64; 2]) -> [f64; 2] {
     ]
 }
 
-/// What becomes one rectangle of the atlas.
+/// What becomes one chart of the atlas.
 pub(super) struct Piece {
     pub(super) triangles: Vec<TriangleId>,
-    /// From the top left of the rectangle without its gutter.
+    /// From the top left of the piece.
     pub(super) corners: Vec<[SubtexelPoint; 3]>,
-    /// Whole texels, without the gutter.
+    /// Whole texels that hold the corners.
     pub(super) size_texel: [u32; 2],
-    pub(super) gutter_texel: u32,
+    /// Texels per metre of the chart that it is of.
+    pub(super) texels_per_m: f64,
+    /// What its triangles own where it is not turned.
+    pub(super) claims: Claims,
+    /// A triangle around the centre of the only texel.
+    pub(super) is_own_texel: bool,
 }
 
 impl Piece {
-    pub(super) fn rect_texel(&self) -> [u32; 2] {
-        self.size_texel.map(|side| side + 2 * self.gutter_texel)
-    }
-
-    fn own_texel(triangle: TriangleId) -> Self {
+    fn own_texel(triangle: TriangleId, texels_per_m: f64) -> Self {
         Self {
             triangles: vec![triangle],
             corners: vec![OWN_TEXEL],
             size_texel: [1, 1],
-            gutter_texel: OWN_TEXEL_GUTTER,
+            texels_per_m,
+            claims: Claims {
+                num_owned_texels: 1,
+                num_subtexel_triangles: 0,
+            },
+            is_own_texel: true,
         }
     }
 
@@ -122,7 +134,7 @@ impl Piece {
     fn fitted(
         triangles: Vec<TriangleId>,
         mut corners: Vec<[SubtexelPoint; 3]>,
-        gutter_texel: u32,
+        texels_per_m: f64,
     ) -> Self {
         let side = i64::from(SUBTEXELS);
         let mut size_texel = [1; 2];
@@ -140,19 +152,18 @@ impl Piece {
             triangles,
             corners,
             size_texel,
-            gutter_texel,
+            texels_per_m,
+            claims: Claims::default(),
+            is_own_texel: false,
         }
     }
 }
 
 /// The pieces of a chart, and how many of its triangles needed what.
-#[derive(Default)]
 pub(super) struct ShapedChart {
     /// The chart, then the triangles that could not stay in it.
     pub(super) pieces: Vec<Piece>,
-    pub(super) num_owned_texels: usize,
-    pub(super) num_own_texel_triangles: usize,
-    pub(super) num_subtexel_triangles: usize,
+    texels_per_m: f64,
     pub(super) num_moved_triangles: usize,
 }
 
@@ -160,13 +171,17 @@ pub(super) fn shape(
     chart: &impl PlaneChart,
     frame: &ChartFrame,
     texels_per_m: f64,
-    params: &PackParams,
+    room_texel: u32,
 ) -> ShapedChart {
-    let scale = frame.scale(texels_per_m, params);
-    let subtexels_per_m = texels_per_m * scale * f64::from(SUBTEXELS);
+    let texels_per_m = texels_per_m * frame.scale(texels_per_m, room_texel);
+    let subtexels_per_m = texels_per_m * f64::from(SUBTEXELS);
     let mut triangles = Vec::with_capacity(chart.triangles().len());
     let mut corners = Vec::with_capacity(chart.triangles().len());
-    let mut shaped = ShapedChart::default();
+    let mut shaped = ShapedChart {
+        pieces: Vec::new(),
+        texels_per_m,
+        num_moved_triangles: 0,
+    };
     let mut degenerate = Vec::new();
     let in_plane = chart.corners_m().iter().zip(&frame.is_laid_out);
     for (&triangle, (corners_m, is_laid_out)) in chart.triangles().iter().zip(in_plane) {
@@ -179,30 +194,26 @@ pub(super) fn shape(
         }
     }
     if !triangles.is_empty() {
-        shaped.add_chart(triangles, corners, params.gutter_texel);
+        shaped.add_chart(triangles, corners);
     }
     shaped.push_own_texels(degenerate);
     shaped
 }
 
 impl ShapedChart {
-    fn add_chart(
-        &mut self,
-        triangles: Vec<TriangleId>,
-        corners: Vec<[SubtexelPoint; 3]>,
-        gutter_texel: u32,
-    ) {
+    fn add_chart(&mut self, triangles: Vec<TriangleId>, corners: Vec<[SubtexelPoint; 3]>) {
+        let texels_per_m = self.texels_per_m;
         let at_start = |start: [i64; 2]| {
             let moved = |corner: SubtexelPoint| [corner[0] + start[0], corner[1] + start[1]];
             let corners = corners.iter().map(|c| c.map(moved)).collect();
-            Piece::fitted(triangles.clone(), corners, gutter_texel)
+            Piece::fitted(triangles.clone(), corners, texels_per_m)
         };
         let mut is_shared = false;
         for piece in STARTS_SUBTEXEL.map(at_start) {
-            match claim_all(&piece) {
+            match claim_all(&piece.corners, piece.size_texel) {
                 None => is_shared = true,
                 Some(claims) if claims.num_owned_texels > 0 => {
-                    self.push(piece, &claims);
+                    self.pieces.push(Piece { claims, ..piece });
                     return;
                 }
                 Some(_) => {}
@@ -217,44 +228,41 @@ impl ShapedChart {
         let apart = moved.triangles.into_iter().zip(moved.corners);
         let apart = apart.map(|(triangle, corners)| (vec![triangle], vec![corners]));
         for (triangles, corners) in std::iter::once((kept.triangles, kept.corners)).chain(apart) {
-            let piece = Piece::fitted(triangles, corners, gutter_texel);
-            match claim_all(&piece) {
-                Some(claims) if claims.num_owned_texels > 0 => self.push(piece, &claims),
+            let piece = Piece::fitted(triangles, corners, texels_per_m);
+            match claim_all(&piece.corners, piece.size_texel) {
+                Some(claims) if claims.num_owned_texels > 0 => {
+                    self.pieces.push(Piece { claims, ..piece });
+                }
                 _ => self.push_own_texels(piece.triangles),
             }
         }
     }
 
-    fn push(&mut self, piece: Piece, claims: &Claims) {
-        self.num_owned_texels += claims.num_owned_texels;
-        self.num_subtexel_triangles += claims.num_subtexel_triangles;
-        self.pieces.push(piece);
-    }
-
     fn push_own_texels(&mut self, triangles: Vec<TriangleId>) {
-        self.num_own_texel_triangles += triangles.len();
-        self.num_owned_texels += triangles.len();
-        self.pieces
-            .extend(triangles.into_iter().map(Piece::own_texel));
+        let texels_per_m = self.texels_per_m;
+        let own = triangles
+            .into_iter()
+            .map(|triangle| Piece::own_texel(triangle, texels_per_m));
+        self.pieces.extend(own);
     }
 }
 
-struct Claims {
-    num_owned_texels: usize,
-    num_subtexel_triangles: usize,
+/// What the triangles of a piece own.
+#[derive(Clone, Copy, Default)]
+pub(super) struct Claims {
+    pub(super) num_owned_texels: usize,
+    pub(super) num_subtexel_triangles: usize,
 }
 
-/// Lets each triangle claim its texels; nothing when two claim the same.
-fn claim_all(piece: &Piece) -> Option<Claims> {
-    let [width, height] = piece.size_texel;
+/// Lets each triangle claim its texels among the first `size_texel`; nothing when two claim the
+/// same.
+pub(super) fn claim_all(corners: &[[SubtexelPoint; 3]], size_texel: [u32; 2]) -> Option<Claims> {
+    let [width, height] = size_texel;
     let mut owned = TexelSet::new(width as usize, height as usize);
-    let mut claims = Claims {
-        num_owned_texels: 0,
-        num_subtexel_triangles: 0,
-    };
-    for corners in &piece.corners {
+    let mut claims = Claims::default();
+    for corners in corners {
         let (mut num_texels, mut is_alone) = (0, true);
-        texels::for_each_texel_of(corners, piece.size_texel, |x, y, _| {
+        texels::for_each_texel_of(corners, size_texel, |x, y, _| {
             num_texels += 1;
             is_alone &= owned.insert(x, y);
         });

@@ -68,21 +68,26 @@ fn many_charts(num_charts: usize) -> (Vec<Chart>, usize) {
     )
 }
 
-fn rects_intersect(a: &TexelRect, b: &TexelRect) -> bool {
-    a.x < b.x + b.width && b.x < a.x + a.width && a.y < b.y + b.height && b.y < a.y + a.height
-}
-
 /// What every layout promises.
 fn check(charts: &[Chart], num_triangles: usize, layout: &AtlasLayout, params: &PackParams) {
     assert_eq!(num_shared_texels(layout), 0);
-    for (index, a) in layout.charts.iter().enumerate() {
-        assert!(a.page < layout.num_pages);
-        assert!(a.rect.x + a.rect.width <= layout.page_size_texel[0]);
-        assert!(a.rect.y + a.rect.height <= layout.page_size_texel[1]);
-        for b in &layout.charts[..index] {
-            assert!(a.page != b.page || !rects_intersect(&a.rect, &b.rect));
+    let [width, height] = layout.page_size_texel;
+    let mut owners = vec![vec![None; (width * height) as usize]; layout.num_pages as usize];
+    for (id, chart) in (0u32..).zip(&layout.charts) {
+        let cell_size = [params.cell_texel(); 2];
+        assert_eq!(chart.cell_size_texel(), cell_size);
+        assert_eq!(
+            [chart.rect.x, chart.rect.y].map(|c| c % cell_size[0]),
+            [0, 0]
+        );
+        for (y, first, len) in chart.own_spans() {
+            for x in first..first + len {
+                let owner = &mut owners[chart.page as usize][(y * width + x) as usize];
+                assert_eq!(owner.replace(id), None, "texel {x}, {y} is owned twice");
+            }
         }
     }
+    check_borders(layout, &owners, params);
     let num_texels = u64::from(layout.page_size_texel[0])
         * u64::from(layout.page_size_texel[1])
         * u64::from(layout.num_pages);
@@ -97,14 +102,6 @@ fn check(charts: &[Chart], num_triangles: usize, layout: &AtlasLayout, params: &
         assert!(num_texels > 0, "a rectangle that owns no texel");
         for &triangle in &chart.triangles {
             assert_eq!(layout.chart_of_triangle[triangle.index()], ChartId(id));
-            for corner in layout.corners_texel[triangle.index()] {
-                let low = [chart.rect.x, chart.rect.y];
-                let size = [chart.rect.width, chart.rect.height];
-                for axis in 0..2 {
-                    let from_low = corner[axis] - low[axis] as f32;
-                    assert!(from_low >= 2.0 && size[axis] as f32 - from_low >= 2.0);
-                }
-            }
         }
         seen.extend(&chart.triangles);
     }
@@ -117,6 +114,49 @@ fn check(charts: &[Chart], num_triangles: usize, layout: &AtlasLayout, params: &
         charts.iter().map(|c| c.triangles.len()).sum::<usize>(),
         num_triangles
     );
+}
+
+/// Around points of each triangle, everything within the gutter is its chart's.
+fn check_borders(layout: &AtlasLayout, owners: &[Vec<Option<u32>>], params: &PackParams) {
+    let gutter = params.gutter_texel as f32;
+    for (corners, chart) in layout.corners_texel.iter().zip(&layout.chart_of_triangle) {
+        let page = &owners[layout.charts[chart.index()].page as usize];
+        let is_own_texel = corners
+            .iter()
+            .all(|c| (0..2).all(|axis| (c[axis] - corners[0][axis]).abs() <= 0.5));
+        // Those have a cell to themselves and no more.
+        let reach = if is_own_texel { 0.0 } else { gutter - 1e-3 };
+        for weights in [
+            [1.0, 0.0],
+            [0.0, 1.0],
+            [0.0, 0.0],
+            [0.5, 0.5],
+            [0.3, 0.3],
+            [0.1, 0.6],
+        ] {
+            let [s, t] = weights;
+            let point: [f32; 2] = std::array::from_fn(|axis| {
+                let [a, b, c] = corners.map(|c| c[axis]);
+                a * s + b * t + c * (1.0 - s - t)
+            });
+            for [dx, dy] in [
+                [-1.0, -1.0],
+                [1.0, -1.0],
+                [-1.0, 1.0],
+                [1.0, 1.0],
+                [0.0, 0.0],
+            ] {
+                let [x, y] = [point[0] + dx * reach, point[1] + dy * reach];
+                assert!(x >= 0.0 && y >= 0.0, "{point:?} has no border");
+                let index = y as usize * layout.page_size_texel[0] as usize + x as usize;
+                assert_eq!(
+                    page[index],
+                    Some(chart.0),
+                    "beside {point:?} of {corners:?}"
+                );
+            }
+        }
+    }
 }
 
 #[test]
@@ -159,7 +199,7 @@ fn pages_are_well_filled_and_the_same_on_any_thread_count() {
     let (layout, report) = run(1);
     check(&charts, num_triangles, &layout, &params);
     assert!(layout.num_pages > 3);
-    assert!(report.page_fill > 0.9, "{report:?}");
+    assert!(report.footprint_share > 0.85, "{report:?}");
     assert!((layout, report) == run(4));
 }
 
@@ -221,7 +261,8 @@ fn a_chart_larger_than_a_page_is_drawn_smaller() {
     check(&charts, num_triangles, &layout, &params);
     assert_eq!(report.num_scaled_charts, 2);
     assert!(report.smallest_scale < 1e-6);
-    assert!(layout.charts[0].rect.width > 240);
+    let TexelRect { width, height, .. } = layout.charts[0].rect;
+    assert!(width.max(height) > 240);
 }
 
 #[test]
@@ -235,19 +276,27 @@ fn density_is_lowered_until_the_budget_holds() {
         };
         let too_much = pack(&charts, num_triangles, 2000.0, &params);
         assert!(matches!(too_much, Err(PackError::OverBudget { .. })));
-        let density = texels_per_m_for_budget(&charts, 2000.0, &params).unwrap();
-        let packed = pack(&charts, num_triangles, density, &params);
+        let packed = pack_to_budget(&charts, num_triangles, 2000.0, &params);
         if max_texels == 1 << 14 {
             // 400 gutters alone take more.
-            assert!(packed.is_err());
+            assert!(matches!(packed, Err(PackError::OverBudget { .. })));
         } else {
             let (layout, report) = packed.unwrap();
             check(&charts, num_triangles, &layout, &params);
-            assert!(report.page_fill > 0.8, "{max_texels}: {report:?}");
+            let num_texels = report.footprint_share
+                * f64::from(layout.page_size_texel[0] * layout.page_size_texel[1])
+                * f64::from(layout.num_pages);
+            let budget_share = num_texels / max_texels as f64;
+            assert!(
+                budget_share > 0.75,
+                "{max_texels}: {budget_share} {report:?}"
+            );
+            let more = pack(&charts, num_triangles, 1.1 * layout.texels_per_m, &params);
+            assert!(more.is_err(), "{max_texels}: room for a tenth more");
         }
     }
-    let roomy = texels_per_m_for_budget(&charts, 10.0, &PackParams::default());
-    assert_eq!(roomy, Ok(10.0));
+    let (roomy, _) = pack_to_budget(&charts, num_triangles, 10.0, &PackParams::default()).unwrap();
+    assert_eq!(roomy.texels_per_m, 10.0);
 }
 
 #[test]
@@ -261,11 +310,67 @@ fn a_mesh_of_absurd_size_still_finds_its_density() {
         max_texels: 1 << 18,
         ..PackParams::default()
     };
-    let density = texels_per_m_for_budget(&charts, 2000.0, &params).unwrap();
-    assert!(density < 1e-25, "{density}");
-    let (layout, report) = pack(&charts, num_triangles, density, &params).unwrap();
+    let (layout, report) = pack_to_budget(&charts, num_triangles, 2000.0, &params).unwrap();
+    assert!(layout.texels_per_m < 1e-25, "{}", layout.texels_per_m);
     check(&charts, num_triangles, &layout, &params);
-    assert!(report.page_fill > 0.8, "{report:?}");
+    assert!(report.footprint_share > 0.8, "{report:?}");
+}
+
+#[test]
+fn plates_are_filled_each_by_itself() {
+    let (charts, num_triangles) = many_charts(1100);
+    let params = PackParams::default();
+    let (layout, report) = pack_plates(&charts, num_triangles, 512, &params).unwrap();
+    assert_eq!((layout.page_size_texel, layout.num_pages), ([512, 512], 3));
+    assert_eq!(num_shared_texels(&layout), 0);
+    assert!(report.footprint_share > 0.8, "{report:?}");
+    // From the smallest to the largest, 500 to a plate; small ones are drawn larger.
+    let size_m2 = |chart: &Chart| {
+        let doubled = |[a, b, c]: &[[f64; 2]; 3]| {
+            (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+        };
+        chart.corners_m.iter().map(doubled).sum::<f64>()
+    };
+    let mut by_size: Vec<usize> = (0..charts.len()).collect();
+    by_size.sort_by(|&a, &b| size_m2(&charts[a]).total_cmp(&size_m2(&charts[b])));
+    let mut density_of_page = [0.0; 3];
+    for (rank, &k) in by_size.iter().enumerate() {
+        let id = layout.chart_of_triangle[charts[k].triangles[0].index()];
+        let placed = &layout.charts[id.index()];
+        assert_eq!(placed.page as usize, rank / 500);
+        let known = &mut density_of_page[placed.page as usize];
+        assert!(*known == 0.0 || *known == placed.texels_per_m);
+        *known = placed.texels_per_m;
+    }
+    assert!(
+        density_of_page[0] > 2.0 * density_of_page[2],
+        "{density_of_page:?}"
+    );
+    for (index, a) in layout.charts.iter().enumerate() {
+        let (r, size) = (&a.rect, layout.page_size_texel);
+        assert!(r.x + r.width <= size[0] && r.y + r.height <= size[1]);
+        for b in &layout.charts[..index] {
+            let s = &b.rect;
+            let is_beside = r.x + r.width <= s.x || s.x + s.width <= r.x;
+            let is_below = r.y + r.height <= s.y || s.y + s.height <= r.y;
+            assert!(a.page != b.page || is_beside || is_below);
+        }
+    }
+}
+
+#[test]
+fn plates_are_halved_to_the_budget() {
+    let (charts, num_triangles) = many_charts(600);
+    let budget = |max_texels| PackParams {
+        max_texels,
+        ..PackParams::default()
+    };
+    let (layout, _) = pack_plates(&charts, num_triangles, 1024, &budget(1 << 20)).unwrap();
+    assert_eq!((layout.page_size_texel, layout.num_pages), ([512, 512], 2));
+    let error = pack_plates(&charts, num_triangles, 1024, &budget(1 << 12)).unwrap_err();
+    assert_eq!(error.to_string(), "2 plates do not fit into 4096 texels");
+    let (layout, _) = pack_plates::<Chart>(&[], 0, 512, &budget(1 << 20)).unwrap();
+    assert_eq!((layout.num_pages, layout.charts.len()), (1, 0));
 }
 
 #[test]
@@ -280,7 +385,7 @@ fn wrong_input_is_named() {
         ..params
     };
     let thin_gutter = PackParams {
-        gutter_texel: 1,
+        gutter_texel: 0,
         ..params
     };
     for (message, part) in [
@@ -288,7 +393,7 @@ fn wrong_input_is_named() {
         (error(&charts, num_triangles, 1.0, &odd_page), "1000"),
         (
             error(&charts, num_triangles, 1.0, &thin_gutter),
-            "gutter of 1",
+            "gutter of 0",
         ),
         (
             error(&charts, num_triangles - 1, 1.0, &params),
@@ -335,7 +440,7 @@ proptest! {
     fn no_texel_is_shared_whatever_the_charts(
         fans in proptest::collection::vec(fan(), 0..8),
         texels_per_m in prop_oneof![0.01..5.0f64, 5.0..500.0f64],
-        gutter_texel in 2u32..6,
+        gutter_texel in 1u32..9,
     ) {
         let (charts, num_triangles) = charts(fans);
         let params = PackParams { page_size_texel: 512, gutter_texel, max_texels: 1 << 26 };

@@ -354,9 +354,9 @@ fn bake(name: &str, mesh: &str) {
     densities.sort_by(f32::total_cmp);
     let wanted = f64::from(densities[densities.len() / 2]);
     let packing = pack::PackParams::default();
-    let density = pack::texels_per_m_for_budget(&charts, wanted, &packing).unwrap();
     let (layout, packed) =
-        pack::pack(&charts, capture.mesh.num_triangles(), density, &packing).unwrap();
+        pack::pack_to_budget(&charts, capture.mesh.num_triangles(), wanted, &packing).unwrap();
+    let density = layout.texels_per_m;
     println!(
         "{wanted:.0} texels/m wanted, {density:.0} taken; {} pages of {:?}; {packed:?}",
         layout.num_pages, layout.page_size_texel
