@@ -2,6 +2,7 @@
 //!
 //! ```text
 //! cargo run --release --example unwrap -- MESH.ply|.obj [OUT.obj] [--paper] [--texels-per-m N] [--threads N]
+//!     [-p NAME:=VALUE]...
 //! ```
 //!
 //! Prints times, counts and distortion as JSON; `OUT.obj` gets the mesh with its texture coordinates
@@ -19,6 +20,7 @@ use std::time::Instant;
 use anyhow::{Context as _, bail};
 use serde_json::json;
 use veneer::atlas::{self, AtlasLayout, num_shared_texels};
+use veneer::config::Config;
 use veneer::import::mesh_file;
 use veneer::mesh::TriMesh;
 use veneer::texinit::{TexInitParams, flatten, overlap};
@@ -42,6 +44,14 @@ fn main() -> anyhow::Result<()> {
     let flat = flatten::flatten(&mesh, &params.flatten)?;
     let flatten_s = start.elapsed().as_secs_f64();
 
+    // Charts of 1, 2–3, 4–7, 8–15, ... triangles.
+    let mut chart_sizes = Vec::new();
+    for chart in &flat.charts {
+        let class = chart.triangles.len().ilog2() as usize;
+        chart_sizes.resize(chart_sizes.len().max(class + 1), 0);
+        chart_sizes[class] += 1;
+    }
+
     let start = Instant::now();
     let (charts, overlaps) = overlap::separate(flat.charts, &params.overlap);
     let overlap_s = start.elapsed().as_secs_f64();
@@ -64,7 +74,9 @@ fn main() -> anyhow::Result<()> {
         "num_triangles": mesh.num_triangles(),
         "num_threads": rayon::current_num_threads(),
         "seconds": { "flatten": flatten_s, "overlap": overlap_s, "pack": pack_s },
+        "num_grown_charts": report.num_grown_charts,
         "num_charts": report.num_charts,
+        "num_charts_by_size": chart_sizes,
         "num_pieces": charts.len(),
         "seam_length_m": report.seam_length_m,
         "manifold": format!("{:?}", report.manifold),
@@ -81,15 +93,21 @@ fn main() -> anyhow::Result<()> {
 }
 
 fn options() -> anyhow::Result<Options> {
-    const USAGE: &str = "unwrap MESH.ply|.obj [OUT.obj] [--paper] [--texels-per-m N] [--threads N]";
+    const USAGE: &str = "unwrap MESH.ply|.obj [OUT.obj] [--paper] [--texels-per-m N] [--threads N] \
+                         [-p NAME:=VALUE]...";
     let mut paths = Vec::new();
-    let mut params = TexInitParams::default();
+    let mut config = Config::default();
     let mut texels_per_m = None;
     let mut words = std::env::args().skip(1);
     while let Some(word) = words.next() {
         let mut value = || words.next().context(USAGE);
         match word.as_str() {
-            "--paper" => params = TexInitParams::paper(),
+            "--paper" => config.set("texinit.mode", "paper")?,
+            "-p" => {
+                let assignment = value()?;
+                let (name, value) = assignment.split_once(":=").context(USAGE)?;
+                config.set(name, value)?;
+            }
             "--texels-per-m" => texels_per_m = Some(value()?.parse()?),
             "--threads" => rayon::ThreadPoolBuilder::new()
                 .num_threads(value()?.parse()?)
@@ -102,7 +120,7 @@ fn options() -> anyhow::Result<Options> {
     Ok(Options {
         mesh: paths.next().context(USAGE)?,
         out: paths.next(),
-        params,
+        params: config.pipeline.texinit,
         texels_per_m,
     })
 }

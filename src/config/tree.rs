@@ -6,7 +6,7 @@ use crate::export::NormalMode;
 use crate::export::pages::PageFormat;
 use crate::ingest::PoseSource;
 use crate::texinit::TexInitParams;
-use crate::texinit::flatten::ChartMode;
+use crate::texinit::flatten::{ChartBoundary, ChartMode};
 use crate::texinit::transfer::TransferMode;
 
 use Access::{Bool, Choice, Count, Float, Float32, Int, Text};
@@ -94,6 +94,8 @@ pub const PARAMETERS: &[Parameter] = &[
         Choice { words: &["streaming", "paper"], set: set_mode, get: mode }),
     row("texinit.init", "", "Colour of the chosen frame (assigned), or the mean over all frames (l2avg).",
         Choice { words: &["assigned", "l2avg"], set: set_init, get: init }),
+    row("texinit.chart.boundary", "", "Boundary of each chart: lengths kept (isometric), or a circle (disk), where charts are split until that distorts little enough.",
+        Choice { words: &["isometric", "disk"], set: set_chart_boundary, get: chart_boundary }),
     row("texinit.chart.max_normal_deviation_rad", "rad", "Largest angle between a triangle's smoothed normal and its chart's.",
         Float(|c| &mut c.pipeline.texinit.flatten.max_normal_deviation_rad, 0.01, 1.5)),
     row("texinit.chart.max_triangles", "", "Most triangles in a chart.",
@@ -204,6 +206,20 @@ fn mode(config: &Config) -> &'static str {
     match config.pipeline.texinit.flatten.mode {
         ChartMode::Streaming => "streaming",
         ChartMode::Paper => "paper",
+    }
+}
+
+fn set_chart_boundary(config: &mut Config, word: &str) {
+    config.pipeline.texinit.flatten.boundary = match word {
+        "disk" => ChartBoundary::Disk,
+        _ => ChartBoundary::Isometric,
+    };
+}
+
+fn chart_boundary(config: &Config) -> &'static str {
+    match config.pipeline.texinit.flatten.boundary {
+        ChartBoundary::Isometric => "isometric",
+        ChartBoundary::Disk => "disk",
     }
 }
 

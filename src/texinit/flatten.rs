@@ -28,6 +28,7 @@ pub(crate) mod chart_solve;
 pub(crate) mod charts;
 pub(crate) mod cones;
 pub(crate) mod cut;
+pub(crate) mod disk_surface;
 pub(crate) mod distortion;
 pub(crate) mod faces;
 pub(crate) mod judge;
@@ -44,10 +45,14 @@ use std::time::{Duration, Instant};
 
 use rayon::prelude::*;
 
+pub use bff::{BffError, Boundary, Closure};
 pub use chart_solve::SolveCounts;
+pub use disk_surface::{DiskError, DiskMap, DiskSurface};
 pub use distortion::ChartDistortion;
+pub use solver::SolverError;
 
-use chart_solve::{flatten_piece, single};
+use chart_solve::{flatten_piece, in_mesh_order, single};
+use distortion::{DistortionSums, stretch};
 use faces::Faces;
 use piece::Piece;
 
@@ -64,11 +69,24 @@ pub enum ChartMode {
     Paper,
 }
 
+/// What the boundary of each chart is made to be.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum ChartBoundary {
+    /// Lengths as on the surface: least area distortion.
+    #[default]
+    Isometric,
+    /// A circle, conformally. Charts that this distorts past the bounds are split.
+    Disk,
+}
+
 /// How to cut and flatten.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FlattenParams {
     /// How the mesh is cut into charts.
     pub mode: ChartMode,
+    /// What the boundary of each chart is made to be. With a disk, whole components are cut without
+    /// cones.
+    pub boundary: ChartBoundary,
     /// Largest angle between a triangle's smoothed normal and its chart's, radians, (0, π/2].
     pub max_normal_deviation_rad: f64,
     /// Most triangles in a chart, ≥ 1.
@@ -97,6 +115,7 @@ impl Default for FlattenParams {
     fn default() -> Self {
         Self {
             mode: ChartMode::Streaming,
+            boundary: ChartBoundary::Isometric,
             max_normal_deviation_rad: 55_f64.to_radians(),
             max_chart_triangles: 1000,
             min_chart_triangles: 12,
@@ -256,6 +275,13 @@ pub fn flatten(mesh: &TriMesh, params: &FlattenParams) -> Result<FlattenResult, 
         solve.add(&counts);
     }
     attach_collapsed(mesh, &manifold, &mut charts);
+    if solve.num_split_for_solver + solve.num_without_cones > 0 {
+        tracing::warn!(
+            num_split = solve.num_split_for_solver,
+            num_without_cones = solve.num_without_cones,
+            "pieces could not be flattened as they were; they were split, or cut without cones"
+        );
+    }
     let report = FlattenReport {
         manifold: *manifold.report(),
         solve,
@@ -263,7 +289,7 @@ pub fn flatten(mesh: &TriMesh, params: &FlattenParams) -> Result<FlattenResult, 
         num_charts: charts.len(),
         num_single_triangle_charts: charts.iter().filter(|c| c.triangles.len() == 1).count(),
         seam_length_m: seam_length_m(mesh, &manifold, &charts),
-        distortion: overall_distortion(mesh, &charts),
+        distortion: overall_distortion(mesh, &manifold, &charts),
         manifold_time,
         charts_time,
         solve_time: start.elapsed(),
@@ -321,13 +347,7 @@ fn seam_length_m(mesh: &TriMesh, manifold: &Manifold, charts: &[FlatChart]) -> f
     let mut place = vec![(u32::MAX, [[0.0; 2]; 3]); mesh.num_triangles()];
     for (c, chart) in (0_u32..).zip(charts) {
         for (triangle, corners) in chart.triangles.iter().zip(&chart.corners_m) {
-            let [a, b, c2] = *corners;
-            let oriented = if manifold.is_reversed(*triangle) {
-                [a, c2, b]
-            } else {
-                [a, b, c2]
-            };
-            place[triangle.index()] = (c, oriented);
+            place[triangle.index()] = (c, in_mesh_order(*corners, *triangle, manifold));
         }
     }
     let mut length = 0.0;
@@ -350,20 +370,25 @@ fn seam_length_m(mesh: &TriMesh, manifold: &Manifold, charts: &[FlatChart]) -> f
     length
 }
 
-fn overall_distortion(mesh: &TriMesh, charts: &[FlatChart]) -> ChartDistortion {
-    let mut overall = ChartDistortion::default();
-    let (mut area, mut weighted) = (0.0, 0.0);
-    for chart in charts {
-        let chart_area: f64 = chart.triangles.iter().map(|&t| mesh.area_m2(t)).sum();
-        let own = &chart.distortion;
-        area += chart_area;
-        weighted += chart_area * own.quasi_conformal_mean;
-        overall.quasi_conformal_max = overall.quasi_conformal_max.max(own.quasi_conformal_max);
-        overall.area_ratio_min = overall.area_ratio_min.min(own.area_ratio_min);
-        overall.area_ratio_max = overall.area_ratio_max.max(own.area_ratio_max);
+/// Of all triangles together, at one scale.
+fn overall_distortion(
+    mesh: &TriMesh,
+    manifold: &Manifold,
+    charts: &[FlatChart],
+) -> ChartDistortion {
+    let sums: Vec<DistortionSums> = charts
+        .par_iter()
+        .map(|chart| {
+            let placed = chart.triangles.iter().zip(&chart.corners_m);
+            DistortionSums::of(placed.filter_map(|(&triangle, corners)| {
+                let surface = manifold.oriented_corners_m(mesh, triangle);
+                stretch(&surface, &in_mesh_order(*corners, triangle, manifold))
+            }))
+        })
+        .collect();
+    let mut overall = DistortionSums::default();
+    for chart in &sums {
+        overall.add(chart);
     }
-    if area > 0.0 {
-        overall.quasi_conformal_mean = weighted / area;
-    }
-    overall
+    overall.distortion()
 }

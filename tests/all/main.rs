@@ -15,6 +15,7 @@ mod bag_interop;
 mod command;
 mod docs;
 mod export;
+mod flatten_peers;
 mod import;
 mod interrupt;
 mod lens;
