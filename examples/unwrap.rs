@@ -44,17 +44,22 @@ fn main() -> anyhow::Result<()> {
     let flat = flatten::flatten(&mesh, &params.flatten)?;
     let flatten_s = start.elapsed().as_secs_f64();
 
+    let start = Instant::now();
+    let (charts, overlaps) = overlap::separate(flat.charts, &params.overlap);
+    let overlap_s = start.elapsed().as_secs_f64();
+
+    let start = Instant::now();
+    let num_separated = charts.len();
+    let (charts, absorbed) = flatten::absorb(&mesh, &flat.manifold, charts, &params.flatten);
+    let absorb_s = start.elapsed().as_secs_f64();
+
     // Charts of 1, 2–3, 4–7, 8–15, ... triangles.
     let mut chart_sizes = Vec::new();
-    for chart in &flat.charts {
+    for chart in &charts {
         let class = chart.triangles.len().ilog2() as usize;
         chart_sizes.resize(chart_sizes.len().max(class + 1), 0);
         chart_sizes[class] += 1;
     }
-
-    let start = Instant::now();
-    let (charts, overlaps) = overlap::separate(flat.charts, &params.overlap);
-    let overlap_s = start.elapsed().as_secs_f64();
 
     let area_m2: f64 = mesh.triangle_ids().map(|t| mesh.area_m2(t)).sum();
     let wanted = options
@@ -73,15 +78,17 @@ fn main() -> anyhow::Result<()> {
     let summary = json!({
         "num_triangles": mesh.num_triangles(),
         "num_threads": rayon::current_num_threads(),
-        "seconds": { "flatten": flatten_s, "overlap": overlap_s, "pack": pack_s },
+        "seconds": { "flatten": flatten_s, "overlap": overlap_s, "absorb": absorb_s, "pack": pack_s },
         "num_grown_charts": report.num_grown_charts,
         "num_charts": report.num_charts,
         "num_charts_by_size": chart_sizes,
+        "num_separated_charts": num_separated,
         "num_pieces": charts.len(),
-        "seam_length_m": report.seam_length_m,
+        "seam_length_m": absorbed.seam_length_m,
         "manifold": format!("{:?}", report.manifold),
         "solve": format!("{:?}", report.solve),
-        "distortion": format!("{:?}", report.distortion),
+        "distortion": format!("{:?}", absorbed.distortion),
+        "absorb": format!("{absorbed:?}"),
         "overlap": format!("{overlaps:?}"),
         "pack": format!("{pack:?}"),
         "pages": [layout.page_size_texel[0], layout.page_size_texel[1], layout.num_pages],

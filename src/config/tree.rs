@@ -108,6 +108,8 @@ pub const PARAMETERS: &[Parameter] = &[
         Float(|c| &mut c.pipeline.texinit.flatten.max_quasi_conformal_mean, 1.0, 100.0)),
     row("texinit.chart.max_stretch", "", "Charts in which lengths grow or shrink by more are split.",
         Float(|c| &mut c.pipeline.texinit.flatten.max_stretch, 1.0, 100.0)),
+    row("texinit.chart.absorb_below_triangles", "", "Charts of fewer triangles join neighbours after flattening where both flatten together; 0 joins none.",
+        Count(|c| &mut c.pipeline.texinit.flatten.absorb_below_triangles, 0, 1_000_000)),
     row("texinit.chart.max_cones", "", "Most cones in a whole component (mode paper).",
         Count(|c| &mut c.pipeline.texinit.flatten.max_cones, 0, 10_000)),
     row("texinit.overlap.max_sweeps", "", "Sweeps of dual coordinate descent that separate overlaps.",

@@ -12,6 +12,10 @@
 //!   through generators and [`cones`]; only what cannot be solved is split; flipped triangles become
 //!   charts of their own.
 //! - Holes inside a chart are filled for the solve only ([`cut`]).
+//! - What is split off is often small: once overlaps are separated, [`absorb()`] joins it to
+//!   neighbours where both flatten together.
+//! - A piece whose Laplacian has no factor or whose boundary curve does not close is split, counted
+//!   ([`SolveCounts::num_split_for_solver`]) and logged.
 //! - Triangles that name a position twice join the chart of a neighbour along their one edge, with
 //!   that edge's flat ends, else they are charts of their own.
 //!
@@ -20,9 +24,12 @@
 //! their neighbours ([`crate::mesh::ManifoldReport::num_reversed_triangles`]): these are mirrored
 //! in their chart. Charts may still overlap themselves; that is the next stage's.
 //!
+//! [`DiskSurface`] gives the map of one surface to a boundary of choice by itself.
+//!
 //! Charts are solved in parallel, each sequentially; the result does not depend on the thread
 //! count.
 
+pub(crate) mod absorb;
 pub(crate) mod bff;
 pub(crate) mod chart_solve;
 pub(crate) mod charts;
@@ -45,6 +52,7 @@ use std::time::{Duration, Instant};
 
 use rayon::prelude::*;
 
+pub use absorb::{AbsorbReport, absorb};
 pub use bff::{BffError, Boundary, Closure};
 pub use chart_solve::SolveCounts;
 pub use disk_surface::{DiskError, DiskMap, DiskSurface};
@@ -109,6 +117,9 @@ pub struct FlattenParams {
     pub max_flipped_share: f64,
     /// Most cones in a whole component ([`ChartMode::Paper`]); 0 places none.
     pub max_cones: usize,
+    /// Charts of fewer triangles are joined to neighbours after flattening, where the two flatten
+    /// together within the bounds ([`absorb()`]); 0 joins none.
+    pub absorb_below_triangles: usize,
 }
 
 impl Default for FlattenParams {
@@ -126,6 +137,7 @@ impl Default for FlattenParams {
             max_stretch: 2.0,
             max_flipped_share: 0.005,
             max_cones: 100,
+            absorb_below_triangles: 100,
         }
     }
 }
@@ -238,6 +250,8 @@ pub struct FlattenReport {
 pub struct FlattenResult {
     /// All charts; each triangle of the mesh is in exactly one.
     pub charts: Vec<FlatChart>,
+    /// How the triangles are joined.
+    pub manifold: Manifold,
     /// What was done.
     pub report: FlattenReport,
 }
@@ -294,7 +308,11 @@ pub fn flatten(mesh: &TriMesh, params: &FlattenParams) -> Result<FlattenResult, 
         charts_time,
         solve_time: start.elapsed(),
     };
-    Ok(FlattenResult { charts, report })
+    Ok(FlattenResult {
+        charts,
+        manifold,
+        report,
+    })
 }
 
 /// Puts each collapsed triangle beside a triangle that has its one edge, else on its own.

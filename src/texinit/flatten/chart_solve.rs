@@ -62,9 +62,9 @@ impl SolveCounts {
 }
 
 /// A judged flattening of a piece, corners in oriented order.
-struct Flat {
-    corners_m: Vec<[[f64; 2]; 3]>,
-    stretches: Vec<Option<Stretch>>,
+pub(crate) struct Flat {
+    pub(crate) corners_m: Vec<[[f64; 2]; 3]>,
+    pub(crate) stretches: Vec<Option<Stretch>>,
     num_filled_holes: usize,
     num_cut_edges: usize,
     num_cones: usize,
@@ -83,7 +83,8 @@ pub(crate) fn flatten_piece(
     let mut stack = vec![(piece, 0)];
     while let Some((piece, depth)) = stack.pop() {
         let surface = piece.corners_m(mesh, manifold);
-        let rejected = match try_flatten(&piece, &surface, params, &mut counts) {
+        let max_slits = (1 + piece.len() / TRIANGLES_PER_SLIT).min(MAX_SLITS);
+        let rejected = match try_flatten(&piece, &surface, params, max_slits, &mut counts) {
             Ok(flat) => {
                 counts.num_filled_holes += flat.num_filled_holes;
                 counts.num_cut_edges += flat.num_cut_edges;
@@ -134,10 +135,12 @@ pub(crate) fn flatten_piece(
     (charts, counts)
 }
 
-fn try_flatten(
+/// Makes the piece a disk, flattens it, and slits it to where it shrinks too much.
+pub(crate) fn try_flatten(
     piece: &Piece,
     surface: &[[Point3<f64>; 3]],
     params: &FlattenParams,
+    max_slits: usize,
     counts: &mut SolveCounts,
 ) -> Result<Flat, Rejected> {
     if let [corners] = surface {
@@ -160,7 +163,6 @@ fn try_flatten(
     }
     let mut disk = make_disk(surface.to_vec(), piece.mates.clone()).ok_or(Rejected::NotADisk)?;
     let (condition, max_slits) = if is_isometric {
-        let max_slits = (1 + piece.len() / TRIANGLES_PER_SLIT).min(MAX_SLITS);
         (Boundary::Isometric, max_slits)
     } else {
         // A slit would only be opened to a part of the circle.

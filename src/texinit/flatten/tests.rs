@@ -45,6 +45,7 @@ fn noise(seed: u32) -> f64 {
     f64::from(x) / f64::from(u32::MAX) * 2.0 - 1.0
 }
 
+mod absorbing;
 mod closed_forms;
 mod whole_components;
 
