@@ -21,7 +21,7 @@ use veneer::synth::{SceneName, SynthOptions, synthesize};
 use veneer::texinit::assign::{AssignParams, Assignment, assign};
 use veneer::texinit::density::{DensityParams, wanted_texels_per_m};
 use veneer::texinit::fill::{FillParams, fill_unseen};
-use veneer::texinit::flatten::{FlatChart, FlattenParams, flatten};
+use veneer::texinit::flatten::{FlatChart, FlattenParams, absorb, flatten};
 use veneer::texinit::overlap::{OverlapParams, separate};
 use veneer::texinit::transfer::{TransferParams, transfer};
 
@@ -138,7 +138,7 @@ impl Scan {
     }
 }
 
-/// `flatten`, `separate`, `pack`: triangles per second.
+/// `flatten`, `separate`, `absorb`, `pack`: triangles per second.
 fn bench_charts(
     group: &mut BenchmarkGroup<'_, WallTime>,
     mesh: &TriMesh,
@@ -146,7 +146,8 @@ fn bench_charts(
 ) -> AtlasLayout {
     let flattened = || flatten(mesh, &FlattenParams::default()).expect("charts");
     let separated = |charts: Vec<FlatChart>| separate(mesh, charts, &OverlapParams::default());
-    let charts = flattened().charts;
+    let flat = flattened();
+    let (charts, manifold) = (flat.charts, flat.manifold);
     let (apart, _) = separated(charts.clone());
     let num_triangles = mesh.num_triangles();
     let packed = || pack(&apart, num_triangles, texels_per_m, &PackParams::default());
@@ -155,6 +156,13 @@ fn bench_charts(
     group.bench_function("flatten", |bencher| bencher.iter(|| black_box(flattened())));
     group.bench_function("separate", |bencher| {
         bencher.iter_batched(|| charts.clone(), separated, BatchSize::PerIteration);
+    });
+    group.bench_function("absorb", |bencher| {
+        bencher.iter_batched(
+            || apart.clone(),
+            |charts| absorb(mesh, &manifold, charts, &FlattenParams::default()),
+            BatchSize::PerIteration,
+        );
     });
     group.bench_function("pack", |bencher| {
         bencher.iter(|| black_box(packed().expect("a layout")));

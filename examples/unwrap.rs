@@ -1,7 +1,8 @@
 //! Charts and layout of a mesh file, without frames: what the geometry half of TexInit makes of it.
 //!
 //! ```text
-//! cargo run --release --example unwrap -- MESH.ply|.obj [OUT.obj] [--paper] [--page N] [--texels-per-m N] [--threads N]
+//! cargo run --release --example unwrap -- MESH.ply|.obj [OUT.obj] [--paper] [--page N]
+//!     [--texels-per-m N] [--threads N] [-p NAME:=VALUE]...
 //! ```
 //!
 //! `--page N` fills one page of N × N texels as densely as it can. Prints times, counts and distortion as JSON; `OUT.obj` gets the mesh with its texture coordinates
@@ -19,6 +20,7 @@ use std::time::Instant;
 use anyhow::{Context as _, bail};
 use serde_json::json;
 use veneer::atlas::{self, AtlasLayout, DensitySpread, num_shared_texels};
+use veneer::config::Config;
 use veneer::import::mesh_file;
 use veneer::mesh::TriMesh;
 use veneer::texinit::density::SizeRule;
@@ -50,6 +52,19 @@ fn main() -> anyhow::Result<()> {
     let (charts, overlaps) = overlap::separate(&mesh, flat.charts, &params.overlap);
     let overlap_s = start.elapsed().as_secs_f64();
 
+    let start = Instant::now();
+    let num_separated = charts.len();
+    let (charts, absorbed) = flatten::absorb(&mesh, &flat.manifold, charts, &params.flatten);
+    let absorb_s = start.elapsed().as_secs_f64();
+
+    // Charts of 1, 2–3, 4–7, 8–15, ... triangles.
+    let mut chart_sizes = Vec::new();
+    for chart in &charts {
+        let class = chart.triangles.len().ilog2() as usize;
+        chart_sizes.resize(chart_sizes.len().max(class + 1), 0);
+        chart_sizes[class] += 1;
+    }
+
     let area_m2: f64 = mesh.triangle_ids().map(|t| mesh.area_m2(t)).sum();
     let wanted = options
         .texels_per_m
@@ -70,13 +85,17 @@ fn main() -> anyhow::Result<()> {
     let summary = json!({
         "num_triangles": mesh.num_triangles(),
         "num_threads": rayon::current_num_threads(),
-        "seconds": { "flatten": flatten_s, "overlap": overlap_s, "pack": pack_s },
+        "seconds": { "flatten": flatten_s, "overlap": overlap_s, "absorb": absorb_s, "pack": pack_s },
+        "num_grown_charts": report.num_grown_charts,
         "num_charts": report.num_charts,
+        "num_charts_by_size": chart_sizes,
+        "num_separated_charts": num_separated,
         "num_pieces": charts.len(),
-        "seam_length_m": report.seam_length_m,
+        "seam_length_m": absorbed.seam_length_m,
         "manifold": format!("{:?}", report.manifold),
         "solve": format!("{:?}", report.solve),
-        "distortion": format!("{:?}", report.distortion),
+        "distortion": format!("{:?}", absorbed.distortion),
+        "absorb": format!("{absorbed:?}"),
         "overlap": format!("{overlaps:?}"),
         "pack": format!("{pack:?}"),
         "pages": [layout.page_size_texel[0], layout.page_size_texel[1], layout.num_pages],
@@ -89,18 +108,23 @@ fn main() -> anyhow::Result<()> {
 }
 
 fn options() -> anyhow::Result<Options> {
-    const USAGE: &str =
-        "unwrap MESH.ply|.obj [OUT.obj] [--paper] [--page N] [--texels-per-m N] [--threads N]";
+    const USAGE: &str = "unwrap MESH.ply|.obj [OUT.obj] [--paper] [--page N] [--texels-per-m N] \
+                         [--threads N] [-p NAME:=VALUE]...";
     let mut paths = Vec::new();
-    let mut params = TexInitParams::default();
+    let mut config = Config::default();
     let mut texels_per_m = None;
     let mut page_size_texel: Option<u32> = None;
     let mut words = std::env::args().skip(1);
     while let Some(word) = words.next() {
         let mut value = || words.next().context(USAGE);
         match word.as_str() {
-            "--paper" => params = TexInitParams::paper(),
             "--page" => page_size_texel = Some(value()?.parse()?),
+            "--paper" => config.set("texinit.mode", "paper")?,
+            "-p" => {
+                let assignment = value()?;
+                let (name, value) = assignment.split_once(":=").context(USAGE)?;
+                config.set(name, value)?;
+            }
             "--texels-per-m" => texels_per_m = Some(value()?.parse()?),
             "--threads" => rayon::ThreadPoolBuilder::new()
                 .num_threads(value()?.parse()?)
@@ -110,8 +134,9 @@ fn options() -> anyhow::Result<Options> {
         }
     }
     if let Some(side) = page_size_texel {
-        params.pack.page_size_texel = side;
-        params.pack.max_texels = u64::from(side).pow(2);
+        let pack = &mut config.pipeline.texinit.pack;
+        pack.page_size_texel = side;
+        pack.max_texels = u64::from(side).pow(2);
         // More than fits: the budget decides.
         texels_per_m = texels_per_m.or(Some(1e6));
     }
@@ -119,7 +144,7 @@ fn options() -> anyhow::Result<Options> {
     Ok(Options {
         mesh: paths.next().context(USAGE)?,
         out: paths.next(),
-        params,
+        params: config.pipeline.texinit,
         texels_per_m,
     })
 }

@@ -4,7 +4,8 @@
 //! in the atlas for every triangle, and a colour for every texel, with its source. Stages:
 //!
 //! 1. [`flatten`]: charts, each flattened by boundary first flattening.
-//! 2. [`overlap`]: triangles of a chart that cover each other are put on different pieces.
+//! 2. [`overlap`]: triangles of a chart that cover each other are put on different pieces; then
+//!    small charts join neighbours where both flatten together ([`flatten::absorb()`]).
 //! 3. [`assign`]: which frame paints which triangle, by three cues (Eq. MRFTex).
 //! 4. [`crate::atlas::pack_to_budget`]: charts on pages, at one texel density taken from the images
 //!    ([`density`]); or the paper's plates of fixed size ([`crate::atlas::pack_plates`]).
@@ -35,7 +36,7 @@ use crate::mesh::TriMesh;
 use assign::{AssignError, AssignParams, Assignment};
 use density::{DensityParams, SizeRule};
 use fill::{FillError, FillParams, FillReport};
-use flatten::{ChartMode, FlatChart, FlattenError, FlattenParams, FlattenReport};
+use flatten::{AbsorbReport, ChartMode, FlatChart, FlattenError, FlattenParams, FlattenReport};
 use overlap::{OverlapParams, OverlapReport};
 use transfer::{TransferError, TransferParams, TransferReport};
 
@@ -121,6 +122,8 @@ pub struct TexInitReport {
     pub flatten: FlattenReport,
     /// Separation of overlaps.
     pub overlap: OverlapReport,
+    /// Small charts joined to neighbours, and the charts that are left.
+    pub absorb: AbsorbReport,
     /// Packing.
     pub pack: PackReport,
     /// Density that the images asked for, texels per metre; the layout has the one that fitted, or
@@ -197,6 +200,7 @@ pub fn texinit(
 
     observer.begin(Stage::Overlap, 0);
     let (charts, overlap_report) = overlap::separate(mesh, flat.charts, &params.overlap);
+    let (charts, absorb_report) = flatten::absorb(mesh, &flat.manifold, charts, &params.flatten);
 
     observer.begin(Stage::Assign, frames.len());
     let assignment = assign::assign(mesh, frames, decode, &params.assign, &advance)?;
@@ -230,6 +234,7 @@ pub fn texinit(
         report: TexInitReport {
             flatten: flat.report,
             overlap: overlap_report,
+            absorb: absorb_report,
             pack: pack_report,
             wanted_texels_per_m,
             density_spread,

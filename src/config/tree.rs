@@ -7,7 +7,7 @@ use crate::export::pages::PageFormat;
 use crate::ingest::PoseSource;
 use crate::texinit::TexInitParams;
 use crate::texinit::density::SizeRule;
-use crate::texinit::flatten::ChartMode;
+use crate::texinit::flatten::{ChartBoundary, ChartMode};
 use crate::texinit::overlap::OverlapForm;
 use crate::texinit::transfer::TransferMode;
 
@@ -98,6 +98,8 @@ pub const PARAMETERS: &[Parameter] = &[
         Choice { words: &["streaming", "paper"], set: set_mode, get: mode }),
     row("texinit.init", "", "Colour of the chosen frame (assigned), or the mean over all frames (l2avg).",
         Choice { words: &["assigned", "l2avg"], set: set_init, get: init }),
+    row("texinit.chart.boundary", "", "Boundary of each chart: lengths kept (isometric), or a circle (disk), where charts are split until that distorts little enough.",
+        Choice { words: &["isometric", "disk"], set: set_chart_boundary, get: chart_boundary }),
     row("texinit.chart.max_normal_deviation_rad", "rad", "Largest angle between a triangle's smoothed normal and its chart's.",
         Float(|c| &mut c.pipeline.texinit.flatten.max_normal_deviation_rad, 0.01, 1.5)),
     row("texinit.chart.max_triangles", "", "Most triangles in a chart.",
@@ -110,6 +112,8 @@ pub const PARAMETERS: &[Parameter] = &[
         Float(|c| &mut c.pipeline.texinit.flatten.max_quasi_conformal_mean, 1.0, 100.0)),
     row("texinit.chart.max_stretch", "", "Charts in which lengths grow or shrink by more are split.",
         Float(|c| &mut c.pipeline.texinit.flatten.max_stretch, 1.0, 100.0)),
+    row("texinit.chart.absorb_below_triangles", "", "Charts of fewer triangles join neighbours after flattening where both flatten together; 0 joins none.",
+        Count(|c| &mut c.pipeline.texinit.flatten.absorb_below_triangles, 0, 1_000_000)),
     row("texinit.chart.max_cones", "", "Most cones in a whole component (mode paper).",
         Count(|c| &mut c.pipeline.texinit.flatten.max_cones, 0, 10_000)),
     row("texinit.overlap.form", "", "Eq. MRFPlane as the paper prints it, or with the planes, rewards and adjacency of the authors' program.",
@@ -226,6 +230,20 @@ fn overlap_form(config: &Config) -> &'static str {
     match config.pipeline.texinit.overlap.form {
         OverlapForm::Printed => "printed",
         OverlapForm::Reference => "reference",
+    }
+}
+
+fn set_chart_boundary(config: &mut Config, word: &str) {
+    config.pipeline.texinit.flatten.boundary = match word {
+        "disk" => ChartBoundary::Disk,
+        _ => ChartBoundary::Isometric,
+    };
+}
+
+fn chart_boundary(config: &Config) -> &'static str {
+    match config.pipeline.texinit.flatten.boundary {
+        ChartBoundary::Isometric => "isometric",
+        ChartBoundary::Disk => "disk",
     }
 }
 

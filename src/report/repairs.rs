@@ -22,12 +22,20 @@ pub fn repairs(manifold: &ManifoldReport) -> Vec<Repair> {
         num_edges: _,
         num_boundary_edges: _,
         num_non_manifold_edges,
+        max_faces_on_edge,
+        num_unpaired_faces,
         num_orientation_cuts,
+        num_merged_vertices,
+        num_split_vertices,
         num_duplicated_vertices,
+        num_isolated_vertices,
         num_reversed_triangles,
         num_duplicate_triangles,
+        num_opposite_triangles,
         num_collapsed_triangles,
         num_zero_area_triangles,
+        num_components,
+        num_single_triangle_components,
     } = *manifold;
     let rows = [
         (
@@ -36,14 +44,39 @@ pub fn repairs(manifold: &ManifoldReport) -> Vec<Repair> {
             "the flattest pairs stay joined, the rest is cut there",
         ),
         (
+            "the most faces on one edge (two where all is well)",
+            max_faces_on_edge,
+            "",
+        ),
+        (
+            "faces on edges of three or more that find no partner there",
+            num_unpaired_faces,
+            "the edge is a border to them",
+        ),
+        (
             "edges where inside meets outside (as on a Möbius strip)",
             num_orientation_cuts,
             "cut",
         ),
         (
-            "extra vertices where faces meet in more than one fan",
-            num_duplicated_vertices,
+            "vertices at the place of an earlier one",
+            num_merged_vertices,
+            "count as one for the charts; kept as they are in the mesh",
+        ),
+        (
+            "vertices whose faces form more than one fan",
+            num_split_vertices,
             "one copy per fan",
+        ),
+        (
+            "copies of vertices made for that",
+            num_duplicated_vertices,
+            "",
+        ),
+        (
+            "vertices that no triangle uses",
+            num_isolated_vertices,
+            "kept in the mesh, nothing to texture",
         ),
         (
             "triangles that face against their neighbours",
@@ -51,8 +84,13 @@ pub fn repairs(manifold: &ManifoldReport) -> Vec<Repair> {
             "turned round for the charts, mirrored there; kept as they are in the mesh",
         ),
         (
-            "triangles on the same corners as another, either way round",
+            "triangles on the corners of an earlier one, the same way round",
             num_duplicate_triangles,
+            "kept, each with texels of its own",
+        ),
+        (
+            "triangles on the corners of an earlier one, the other way round",
+            num_opposite_triangles,
             "kept, each with texels of its own",
         ),
         (
@@ -64,6 +102,12 @@ pub fn repairs(manifold: &ManifoldReport) -> Vec<Repair> {
             "other triangles without area",
             num_zero_area_triangles,
             "kept, on a texel of their own where their chart gives them none",
+        ),
+        ("connected pieces after the repair", num_components, ""),
+        (
+            "pieces of a single triangle",
+            num_single_triangle_components,
+            "kept, a chart each",
         ),
     ];
     rows.map(|(found, count, done)| Repair {
@@ -95,7 +139,15 @@ mod tests {
             .collect();
         let expected = [
             ("edges of three or more faces", 1),
-            ("extra vertices where faces meet in more than one fan", 2),
+            ("the most faces on one edge (two where all is well)", 3),
+            (
+                "faces on edges of three or more that find no partner there",
+                1,
+            ),
+            ("vertices whose faces form more than one fan", 2),
+            ("copies of vertices made for that", 2),
+            ("connected pieces after the repair", 2),
+            ("pieces of a single triangle", 1),
         ];
         assert_eq!(found, expected);
     }

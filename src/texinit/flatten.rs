@@ -12,6 +12,10 @@
 //!   through generators and [`cones`]; only what cannot be solved is split; flipped triangles become
 //!   charts of their own.
 //! - Holes inside a chart are filled for the solve only ([`cut`]).
+//! - What is split off is often small: once overlaps are separated, [`absorb()`] joins it to
+//!   neighbours where both flatten together.
+//! - A piece whose Laplacian has no factor or whose boundary curve does not close is split, counted
+//!   ([`SolveCounts::num_split_for_solver`]) and logged.
 //! - Triangles that name a position twice join the chart of a neighbour along their one edge, with
 //!   that edge's flat ends, else they are charts of their own.
 //!
@@ -20,14 +24,18 @@
 //! their neighbours ([`crate::mesh::ManifoldReport::num_reversed_triangles`]): these are mirrored
 //! in their chart. Charts may still overlap themselves; that is the next stage's.
 //!
+//! [`DiskSurface`] gives the map of one surface to a boundary of choice by itself.
+//!
 //! Charts are solved in parallel, each sequentially; the result does not depend on the thread
 //! count.
 
+pub(crate) mod absorb;
 pub(crate) mod bff;
 pub(crate) mod chart_solve;
 pub(crate) mod charts;
 pub(crate) mod cones;
 pub(crate) mod cut;
+pub(crate) mod disk_surface;
 pub(crate) mod distortion;
 pub(crate) mod faces;
 pub(crate) mod judge;
@@ -44,10 +52,15 @@ use std::time::{Duration, Instant};
 
 use rayon::prelude::*;
 
+pub use absorb::{AbsorbReport, absorb};
+pub use bff::{BffError, Boundary, Closure};
 pub use chart_solve::SolveCounts;
+pub use disk_surface::{DiskError, DiskMap, DiskSurface};
 pub use distortion::ChartDistortion;
+pub use solver::SolverError;
 
-use chart_solve::{flatten_piece, single};
+use chart_solve::{flatten_piece, in_mesh_order, single};
+use distortion::{DistortionSums, stretch};
 use faces::Faces;
 use piece::Piece;
 
@@ -64,11 +77,24 @@ pub enum ChartMode {
     Paper,
 }
 
+/// What the boundary of each chart is made to be.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum ChartBoundary {
+    /// Lengths as on the surface: least area distortion.
+    #[default]
+    Isometric,
+    /// A circle, conformally. Charts that this distorts past the bounds are split.
+    Disk,
+}
+
 /// How to cut and flatten.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FlattenParams {
     /// How the mesh is cut into charts.
     pub mode: ChartMode,
+    /// What the boundary of each chart is made to be. With a disk, whole components are cut without
+    /// cones.
+    pub boundary: ChartBoundary,
     /// Largest angle between a triangle's smoothed normal and its chart's, radians, (0, π/2].
     pub max_normal_deviation_rad: f64,
     /// Most triangles in a chart, ≥ 1.
@@ -91,12 +117,16 @@ pub struct FlattenParams {
     pub max_flipped_share: f64,
     /// Most cones in a whole component ([`ChartMode::Paper`]); 0 places none.
     pub max_cones: usize,
+    /// Charts of fewer triangles are joined to neighbours after flattening, where the two flatten
+    /// together within the bounds ([`absorb()`]); 0 joins none.
+    pub absorb_below_triangles: usize,
 }
 
 impl Default for FlattenParams {
     fn default() -> Self {
         Self {
             mode: ChartMode::Streaming,
+            boundary: ChartBoundary::Isometric,
             max_normal_deviation_rad: 55_f64.to_radians(),
             max_chart_triangles: 1000,
             min_chart_triangles: 12,
@@ -107,6 +137,7 @@ impl Default for FlattenParams {
             max_stretch: 2.0,
             max_flipped_share: 0.005,
             max_cones: 100,
+            absorb_below_triangles: 100,
         }
     }
 }
@@ -219,6 +250,8 @@ pub struct FlattenReport {
 pub struct FlattenResult {
     /// All charts; each triangle of the mesh is in exactly one.
     pub charts: Vec<FlatChart>,
+    /// How the triangles are joined.
+    pub manifold: Manifold,
     /// What was done.
     pub report: FlattenReport,
 }
@@ -256,6 +289,13 @@ pub fn flatten(mesh: &TriMesh, params: &FlattenParams) -> Result<FlattenResult, 
         solve.add(&counts);
     }
     attach_collapsed(mesh, &manifold, &mut charts);
+    if solve.num_split_for_solver + solve.num_without_cones > 0 {
+        tracing::warn!(
+            num_split = solve.num_split_for_solver,
+            num_without_cones = solve.num_without_cones,
+            "pieces could not be flattened as they were; they were split, or cut without cones"
+        );
+    }
     let report = FlattenReport {
         manifold: *manifold.report(),
         solve,
@@ -263,12 +303,16 @@ pub fn flatten(mesh: &TriMesh, params: &FlattenParams) -> Result<FlattenResult, 
         num_charts: charts.len(),
         num_single_triangle_charts: charts.iter().filter(|c| c.triangles.len() == 1).count(),
         seam_length_m: seam_length_m(mesh, &manifold, &charts),
-        distortion: overall_distortion(mesh, &charts),
+        distortion: overall_distortion(mesh, &manifold, &charts),
         manifold_time,
         charts_time,
         solve_time: start.elapsed(),
     };
-    Ok(FlattenResult { charts, report })
+    Ok(FlattenResult {
+        charts,
+        manifold,
+        report,
+    })
 }
 
 /// Puts each collapsed triangle beside a triangle that has its one edge, else on its own.
@@ -321,13 +365,7 @@ fn seam_length_m(mesh: &TriMesh, manifold: &Manifold, charts: &[FlatChart]) -> f
     let mut place = vec![(u32::MAX, [[0.0; 2]; 3]); mesh.num_triangles()];
     for (c, chart) in (0_u32..).zip(charts) {
         for (triangle, corners) in chart.triangles.iter().zip(&chart.corners_m) {
-            let [a, b, c2] = *corners;
-            let oriented = if manifold.is_reversed(*triangle) {
-                [a, c2, b]
-            } else {
-                [a, b, c2]
-            };
-            place[triangle.index()] = (c, oriented);
+            place[triangle.index()] = (c, in_mesh_order(*corners, *triangle, manifold));
         }
     }
     let mut length = 0.0;
@@ -350,20 +388,25 @@ fn seam_length_m(mesh: &TriMesh, manifold: &Manifold, charts: &[FlatChart]) -> f
     length
 }
 
-fn overall_distortion(mesh: &TriMesh, charts: &[FlatChart]) -> ChartDistortion {
-    let mut overall = ChartDistortion::default();
-    let (mut area, mut weighted) = (0.0, 0.0);
-    for chart in charts {
-        let chart_area: f64 = chart.triangles.iter().map(|&t| mesh.area_m2(t)).sum();
-        let own = &chart.distortion;
-        area += chart_area;
-        weighted += chart_area * own.quasi_conformal_mean;
-        overall.quasi_conformal_max = overall.quasi_conformal_max.max(own.quasi_conformal_max);
-        overall.area_ratio_min = overall.area_ratio_min.min(own.area_ratio_min);
-        overall.area_ratio_max = overall.area_ratio_max.max(own.area_ratio_max);
+/// Of all triangles together, at one scale.
+fn overall_distortion(
+    mesh: &TriMesh,
+    manifold: &Manifold,
+    charts: &[FlatChart],
+) -> ChartDistortion {
+    let sums: Vec<DistortionSums> = charts
+        .par_iter()
+        .map(|chart| {
+            let placed = chart.triangles.iter().zip(&chart.corners_m);
+            DistortionSums::of(placed.filter_map(|(&triangle, corners)| {
+                let surface = manifold.oriented_corners_m(mesh, triangle);
+                stretch(&surface, &in_mesh_order(*corners, triangle, manifold))
+            }))
+        })
+        .collect();
+    let mut overall = DistortionSums::default();
+    for chart in &sums {
+        overall.add(chart);
     }
-    if area > 0.0 {
-        overall.quasi_conformal_mean = weighted / area;
-    }
-    overall
+    overall.distortion()
 }

@@ -17,6 +17,7 @@ mod command;
 mod corpus;
 mod docs;
 mod export;
+mod flatten_peers;
 mod import;
 mod interrupt;
 mod lens;

@@ -10,7 +10,9 @@
 //! 2. the boundary curve has exterior angles k̃ and the lengths of the surface scaled by e^u,
 //!    corrected in the least-squares sense (weights 1/length) so that it closes;
 //! 3. x is the harmonic extension of the curve's x, and y the conjugate of that: the Neumann
-//!    problem with flux `−½ (x_next − x_previous)` (Hilbert transform).
+//!    problem with flux `−½ (x_next − x_previous)` (Hilbert transform). Where the shape of the
+//!    boundary is what was asked for (angles, circle), y is harmonic as well, so that the boundary
+//!    is the curve exactly; the conjugate would be off by what the mesh is too coarse for.
 //!
 //! A disk without interior vertices is developable: its curve is the exact unfolding, step 3 is
 //! left out. Angles in radians, lengths in metres; the result is counter-clockwise.
@@ -23,7 +25,7 @@ use super::solver::{Solver, SolverError};
 
 /// Why a disk was not flattened.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub(crate) enum BffError {
+pub enum BffError {
     /// Its lengths are zero or not finite.
     #[error("edge lengths are zero or not finite")]
     NoMetric,
@@ -32,7 +34,10 @@ pub(crate) enum BffError {
     Solver(#[from] SolverError),
     /// The boundary curve cannot be closed with positive lengths.
     #[error("boundary of {num_edges} edges cannot be closed")]
-    NotClosed { num_edges: usize },
+    NotClosed {
+        /// How many edges it has.
+        num_edges: usize,
+    },
     /// A coordinate is not finite.
     #[error("a flattened coordinate is not finite")]
     NotFinite,
@@ -40,23 +45,40 @@ pub(crate) enum BffError {
 
 /// What the boundary of a disk is made to be; the rest follows (Sawhney and Crane 2018, section 4).
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) enum Boundary<'a> {
+pub enum Boundary<'a> {
     /// Lengths as on the surface, u = 0: least area distortion.
     Isometric,
-    /// Log scale factor u of each boundary vertex, in loop order.
-    #[cfg_attr(not(test), expect(dead_code, reason = "an option of the method"))]
+    /// Log scale factor u of each boundary vertex, in loop order: lengths there become e^u times
+    /// those on the surface. The exterior angles follow.
     LogScale(&'a [f64]),
     /// Exterior angle k̃ of each boundary vertex, in loop order, radians; made to sum to 2π by equal
     /// shares. Scale is free and chosen so that the boundary's mean u is 0.
-    #[cfg_attr(not(test), expect(dead_code, reason = "an option of the method"))]
     ExteriorAngles(&'a [f64]),
     /// A circle, conformally: exterior angles in proportion to the lengths that they lead to.
-    #[cfg_attr(not(test), expect(dead_code, reason = "an option of the method"))]
     Circle,
 }
 
-/// Rounds after which the exterior angles of a circle no longer change ("ten suffice").
-const NUM_CIRCLE_ROUNDS: usize = 10;
+/// The exterior angles of a circle follow from lengths that follow from them: at most so many rounds
+/// (ten suffice unless the surface is much longer than wide).
+const MAX_CIRCLE_ROUNDS: usize = 60;
+
+/// Halvings of an interval of diameters, to the last bit of a double.
+const NUM_BISECTIONS: usize = 60;
+
+/// Largest change of an exterior angle, radians, with which they have settled.
+const SETTLED_RAD: f64 = 1e-7;
+
+/// How well a boundary curve closed, as shares of its perimeter. On a smooth surface it closes by
+/// itself; on a mesh the gap shrinks as triangles do.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Closure {
+    /// The gap of the curve of the angles and lengths asked for.
+    pub gap: f64,
+    /// The gap that is left once lengths are corrected: rounding.
+    pub corrected_gap: f64,
+    /// The largest change of a length, as a share of it.
+    pub max_correction: f64,
+}
 
 /// A flattened disk.
 pub(crate) struct FlatDisk {
@@ -64,6 +86,10 @@ pub(crate) struct FlatDisk {
     pub(crate) points_m: Vec<[f64; 2]>,
     /// The interior vertex whose surroundings shrink most, if any shrink: the one of least u.
     pub(crate) most_shrunk_vertex: Option<usize>,
+    /// Per vertex the log scale factor u.
+    pub(crate) log_scale: Vec<f64>,
+    /// How well the boundary closed.
+    pub(crate) closure: Closure,
 }
 
 /// Flattens a disk.
@@ -75,15 +101,19 @@ pub(crate) fn flatten_disk(disk: &Disk, condition: Boundary<'_>) -> Result<FlatD
     let num_interior = numbering.num_interior;
 
     let mut most_shrunk = None;
-    let flat = if num_interior == 0 && condition == Boundary::Isometric {
-        closed_curve(&lengths, &curvature.boundary)?
+    let (flat, scale, closure) = if num_interior == 0 && condition == Boundary::Isometric {
+        let (curve, closure) = closed_curve(&lengths, &curvature.boundary)?;
+        (curve, vec![0.0; lengths.len()], closure)
     } else {
         let weights = numbering.renumber(edge_weights(&disk.mates, &disk.vertices, &metric));
         let solver = Solver::new(num_interior, disk.num_vertices, weights)?;
         let (target, scale) = boundary_data(&solver, &curvature, &lengths, condition);
         most_shrunk = place_of_least(&scale[..num_interior]);
-        let curve = closed_curve(&scaled(&lengths, &scale[num_interior..]), &target)?;
-        extend(&solver, num_interior, &curve)
+        let lengths = scaled(&lengths, &scale[num_interior..]);
+        let (curve, closure) = closed_curve(&lengths, &target)?;
+        let is_exact = matches!(condition, Boundary::ExteriorAngles(_) | Boundary::Circle);
+        let flat = extend(&solver, num_interior, &curve, is_exact);
+        (flat, scale, closure)
     };
     if !flat.iter().flatten().all(|c| c.is_finite()) {
         return Err(BffError::NotFinite);
@@ -93,6 +123,12 @@ pub(crate) fn flatten_disk(disk: &Disk, condition: Boundary<'_>) -> Result<FlatD
         points_m: numbering.place.iter().map(point).collect(),
         most_shrunk_vertex: most_shrunk
             .and_then(|place| numbering.place.iter().position(|p| *p as usize == place)),
+        log_scale: numbering
+            .place
+            .iter()
+            .map(|&place| scale[place as usize])
+            .collect(),
+        closure,
     })
 }
 
@@ -117,12 +153,18 @@ fn boundary_data(
         Boundary::Circle => {
             let mut target = turning_of_circle(lengths);
             let mut scale = neumann_to_dirichlet(solver, curvature, &target);
-            for _ in 0..NUM_CIRCLE_ROUNDS {
+            for _ in 0..MAX_CIRCLE_ROUNDS {
                 let scaled = scaled(lengths, &scale[curvature.interior.len()..]);
-                target = turning_of_circle(&scaled);
+                let previous = std::mem::replace(&mut target, turning_of_circle(&scaled));
+                let changes = target.iter().zip(&previous).map(|(a, b)| (a - b).abs());
+                // The angles are those of the lengths, so that the curve is a circle in any case.
+                if changes.fold(0.0, f64::max) <= SETTLED_RAD {
+                    break;
+                }
                 scale = neumann_to_dirichlet(solver, curvature, &target);
             }
-            (target, scale)
+            let scaled = scaled(lengths, &scale[curvature.interior.len()..]);
+            (turning_of_circle(&scaled), scale)
         }
     }
 }
@@ -137,12 +179,30 @@ fn scaled(lengths: &[f64], boundary_scale: &[f64]) -> Vec<f64> {
         .collect()
 }
 
-/// Exterior angles of a polygon of these sides inscribed, nearly, in a circle.
+/// Exterior angles of the polygon of these sides that is inscribed in a circle: at each corner half
+/// the arcs beside it, an arc being 2 asin(side / diameter). Where one side is too long for a circle
+/// around the middle, it becomes the diameter and the rest is shared out.
 fn turning_of_circle(lengths: &[f64]) -> Vec<f64> {
-    let perimeter: f64 = lengths.iter().sum();
-    let num = lengths.len();
+    let arcs = |inverse_diameter: f64| -> Vec<f64> {
+        let arc = |length: &f64| 2.0 * (length * inverse_diameter).min(1.0).asin();
+        lengths.iter().map(arc).collect()
+    };
+    let longest = lengths.iter().copied().fold(0.0, f64::max);
+    // Arcs grow with the inverse diameter; those of the perimeter as one circle are too short.
+    let (mut low, mut high) = (PI / lengths.iter().sum::<f64>(), 1.0 / longest);
+    for _ in 0..NUM_BISECTIONS {
+        let middle = 0.5 * (low + high);
+        if arcs(middle).iter().sum::<f64>() < TAU {
+            low = middle;
+        } else {
+            high = middle;
+        }
+    }
+    let arcs = arcs(low);
+    let excess = TAU / arcs.iter().sum::<f64>();
+    let num = arcs.len();
     (0..num)
-        .map(|i| std::f64::consts::PI * (lengths[i] + lengths[(i + num - 1) % num]) / perimeter)
+        .map(|i| 0.5 * excess * (arcs[i] + arcs[(i + num - 1) % num]))
         .collect()
 }
 
@@ -272,7 +332,7 @@ fn neumann_to_dirichlet(solver: &Solver, curvature: &Curvature, target: &[f64]) 
 pub(super) fn closed_curve(
     lengths: &[f64],
     exterior_angles: &[f64],
-) -> Result<Vec<[f64; 2]>, BffError> {
+) -> Result<(Vec<[f64; 2]>, Closure), BffError> {
     let not_closed = BffError::NotClosed {
         num_edges: lengths.len(),
     };
@@ -300,6 +360,12 @@ pub(super) fn closed_curve(
         (yy * gap[0] - xy * gap[1]) / determinant,
         (xx * gap[1] - xy * gap[0]) / determinant,
     ];
+    let perimeter: f64 = lengths.iter().sum();
+    let mut closure = Closure {
+        gap: gap[0].hypot(gap[1]) / perimeter,
+        corrected_gap: 0.0,
+        max_correction: 0.0,
+    };
     let mut at = [0.0; 2];
     let mut curve = Vec::with_capacity(lengths.len());
     for (&length, [x, y]) in lengths.iter().zip(&tangents) {
@@ -307,23 +373,36 @@ pub(super) fn closed_curve(
         if factor.is_nan() || factor <= 0.0 {
             return Err(not_closed);
         }
+        closure.max_correction = closure.max_correction.max((factor - 1.0).abs());
         curve.push(at);
         at = [at[0] + factor * length * x, at[1] + factor * length * y];
     }
-    Ok(curve)
+    closure.corrected_gap = at[0].hypot(at[1]) / perimeter;
+    Ok((curve, closure))
 }
 
-/// The harmonic extension of the curve's x and the conjugate harmonic y.
-fn extend(solver: &Solver, num_interior: usize, curve: &[[f64; 2]]) -> Vec<[f64; 2]> {
+/// The harmonic extension of the curve's x, and that of its y or the conjugate harmonic y.
+fn extend(
+    solver: &Solver,
+    num_interior: usize,
+    curve: &[[f64; 2]],
+    is_exact: bool,
+) -> Vec<[f64; 2]> {
     let boundary_x: Vec<f64> = curve.iter().map(|point| point[0]).collect();
-    let x = solver.dirichlet(&vec![0.0; num_interior], &boundary_x);
-    let num_edges = curve.len();
-    let mut flux = vec![0.0; num_interior];
-    flux.extend((0..num_edges).map(|i| {
-        let next = boundary_x[(i + 1) % num_edges];
-        let previous = boundary_x[(i + num_edges - 1) % num_edges];
-        -0.5 * (next - previous)
-    }));
-    let y = solver.neumann(&flux);
+    let still = vec![0.0; num_interior];
+    let x = solver.dirichlet(&still, &boundary_x);
+    let y = if is_exact {
+        let boundary_y: Vec<f64> = curve.iter().map(|point| point[1]).collect();
+        solver.dirichlet(&still, &boundary_y)
+    } else {
+        let num_edges = curve.len();
+        let mut flux = still;
+        flux.extend((0..num_edges).map(|i| {
+            let next = boundary_x[(i + 1) % num_edges];
+            let previous = boundary_x[(i + num_edges - 1) % num_edges];
+            -0.5 * (next - previous)
+        }));
+        solver.neumann(&flux)
+    };
     x.into_iter().zip(y).map(|(x, y)| [x, y]).collect()
 }

@@ -7,7 +7,7 @@ use super::distortion::{Stretch, stretch, summarize};
 use super::judge::{Rejected, judge, must_leave, scale_to_area};
 use super::piece::Piece;
 use super::split::{around_blamed, halves};
-use super::{ChartMode, FlatChart, FlattenParams};
+use super::{ChartBoundary, ChartMode, FlatChart, FlattenParams};
 use crate::mesh::components::components_within;
 use crate::mesh::{Manifold, TriMesh, TriangleId};
 use nalgebra::Point3;
@@ -30,6 +30,8 @@ pub struct SolveCounts {
     pub num_cut_edges: usize,
     /// Cones placed in whole components.
     pub num_cones: usize,
+    /// Whole components that could not be flattened through cones and were cut without any.
+    pub num_without_cones: usize,
     /// Slits to where charts shrank too much.
     pub num_slits: usize,
     /// Pieces split because no disk could be made of them.
@@ -49,6 +51,7 @@ impl SolveCounts {
         self.num_filled_holes += other.num_filled_holes;
         self.num_cut_edges += other.num_cut_edges;
         self.num_cones += other.num_cones;
+        self.num_without_cones += other.num_without_cones;
         self.num_slits += other.num_slits;
         self.num_split_for_topology += other.num_split_for_topology;
         self.num_split_for_solver += other.num_split_for_solver;
@@ -59,9 +62,9 @@ impl SolveCounts {
 }
 
 /// A judged flattening of a piece, corners in oriented order.
-struct Flat {
-    corners_m: Vec<[[f64; 2]; 3]>,
-    stretches: Vec<Option<Stretch>>,
+pub(crate) struct Flat {
+    pub(crate) corners_m: Vec<[[f64; 2]; 3]>,
+    pub(crate) stretches: Vec<Option<Stretch>>,
     num_filled_holes: usize,
     num_cut_edges: usize,
     num_cones: usize,
@@ -80,7 +83,8 @@ pub(crate) fn flatten_piece(
     let mut stack = vec![(piece, 0)];
     while let Some((piece, depth)) = stack.pop() {
         let surface = piece.corners_m(mesh, manifold);
-        let rejected = match try_flatten(&piece, &surface, params) {
+        let max_slits = (1 + piece.len() / TRIANGLES_PER_SLIT).min(MAX_SLITS);
+        let rejected = match try_flatten(&piece, &surface, params, max_slits, &mut counts) {
             Ok(flat) => {
                 counts.num_filled_holes += flat.num_filled_holes;
                 counts.num_cut_edges += flat.num_cut_edges;
@@ -131,10 +135,13 @@ pub(crate) fn flatten_piece(
     (charts, counts)
 }
 
-fn try_flatten(
+/// Makes the piece a disk, flattens it, and slits it to where it shrinks too much.
+pub(crate) fn try_flatten(
     piece: &Piece,
     surface: &[[Point3<f64>; 3]],
     params: &FlattenParams,
+    max_slits: usize,
+    counts: &mut SolveCounts,
 ) -> Result<Flat, Rejected> {
     if let [corners] = surface {
         let corners_m = vec![isometric(corners)];
@@ -147,17 +154,23 @@ fn try_flatten(
             num_slits: 0,
         });
     }
-    if params.mode == ChartMode::Paper
-        && params.max_cones > 0
-        && let Some(flat) = flatten_with_cones(piece, surface, params)
-    {
-        return Ok(flat);
+    let is_isometric = params.boundary == ChartBoundary::Isometric;
+    if params.mode == ChartMode::Paper && is_isometric && params.max_cones > 0 {
+        match flatten_with_cones(piece, surface, params) {
+            Some(flat) => return Ok(flat),
+            None => counts.num_without_cones += 1,
+        }
     }
     let mut disk = make_disk(surface.to_vec(), piece.mates.clone()).ok_or(Rejected::NotADisk)?;
-    let max_slits = (1 + piece.len() / TRIANGLES_PER_SLIT).min(MAX_SLITS);
+    let (condition, max_slits) = if is_isometric {
+        (Boundary::Isometric, max_slits)
+    } else {
+        // A slit would only be opened to a part of the circle.
+        (Boundary::Circle, 0)
+    };
     let mut num_slits = 0;
     loop {
-        let flat = flatten_disk(&disk, Boundary::Isometric).map_err(|error| {
+        let flat = flatten_disk(&disk, condition).map_err(|error| {
             log_failure(piece, &error);
             Rejected::Solver
         })?;
@@ -174,8 +187,8 @@ fn try_flatten(
     }
 }
 
-/// A whole component, cut through generators and cones, lengths along the cut kept; none where that cannot be done, which a cut without cones
-/// or a split then mends.
+/// A whole component, cut through generators and cones, lengths along the cut kept; none where
+/// that cannot be done, which a cut without cones or a split then mends.
 fn flatten_with_cones(
     piece: &Piece,
     surface_m: &[[Point3<f64>; 3]],
@@ -269,11 +282,12 @@ fn emit(
     }
 }
 
-fn in_mesh_order(
-    [a, b, c]: [[f64; 2]; 3],
+/// Oriented corners in the mesh's corner order, and the other way round.
+pub(crate) fn in_mesh_order<T>(
+    [a, b, c]: [T; 3],
     triangle: TriangleId,
     manifold: &Manifold,
-) -> [[f64; 2]; 3] {
+) -> [T; 3] {
     if manifold.is_reversed(triangle) {
         [a, c, b]
     } else {
@@ -288,15 +302,9 @@ pub(crate) fn single(
     corners: &[Point3<f64>; 3],
     manifold: &Manifold,
 ) -> FlatChart {
-    let [a, b, c] = *corners;
-    let in_mesh = if manifold.is_reversed(triangle) {
-        [a, c, b]
-    } else {
-        [a, b, c]
-    };
     FlatChart {
         triangles: vec![triangle],
-        corners_m: vec![isometric(&in_mesh)],
+        corners_m: vec![isometric(&in_mesh_order(*corners, triangle, manifold))],
         distortion: Default::default(),
     }
 }

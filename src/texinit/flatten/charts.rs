@@ -52,7 +52,7 @@ pub(crate) fn grow_charts(
     for _ in 0..params.num_relaxation_rounds {
         growth.relax();
     }
-    let mut label = growth.label;
+    let mut label = growth.labels();
     merge::merge_charts(manifold.mates(), faces, params, &mut label);
     smooth_borders(manifold.mates(), faces, params, &mut label);
     merge::merge_charts(manifold.mates(), faces, params, &mut label);
@@ -95,12 +95,24 @@ fn compact(label: &[u32], is_open: &[bool]) -> (Vec<u32>, usize) {
     (compacted, count as usize)
 }
 
+/// A collapsed triangle, while charts grow: never in one.
+const CLOSED: u32 = u32::MAX - 1;
+
+/// What growing asks of a triangle, in one cache line: charts grow all over the mesh at once, so
+/// that each look at a triangle is a miss.
+#[repr(align(64))]
+struct Cell {
+    center_m: Point3<f64>,
+    normal: Vector3<f64>,
+    mates: [u32; 3],
+    /// Its chart, [`UNASSIGNED`] or [`CLOSED`].
+    label: u32,
+}
+
 struct Growth<'a> {
-    mates: &'a [u32],
     faces: &'a Faces,
-    is_open: &'a [bool],
     params: &'a FlattenParams,
-    label: Vec<u32>,
+    cells: Vec<Cell>,
     proxies: Vec<Proxy>,
     /// Triangles by falling flatness.
     seed_order: Vec<u32>,
@@ -110,21 +122,24 @@ struct Growth<'a> {
 }
 
 impl<'a> Growth<'a> {
-    fn new(
-        mates: &'a [u32],
-        faces: &'a Faces,
-        is_open: &'a [bool],
-        params: &'a FlattenParams,
-    ) -> Self {
+    fn new(mates: &[u32], faces: &'a Faces, is_open: &[bool], params: &'a FlattenParams) -> Self {
         let num_open = is_open.iter().filter(|open| **open).count().max(1);
         let mean_area = faces.areas_m2.iter().sum::<f64>() / num_open as f64;
         let radius2_m2 = mean_area * params.max_chart_triangles as f64 / std::f64::consts::PI;
+        let cell = |triangle: usize| Cell {
+            center_m: faces.centroids_m[triangle],
+            normal: faces.normals[triangle],
+            mates: [0, 1, 2].map(|k| mates[3 * triangle + k]),
+            label: if is_open[triangle] {
+                UNASSIGNED
+            } else {
+                CLOSED
+            },
+        };
         Self {
-            mates,
             faces,
-            is_open,
             params,
-            label: vec![UNASSIGNED; is_open.len()],
+            cells: (0..is_open.len()).map(cell).collect(),
             proxies: Vec::new(),
             seed_order: flatness_order(mates, faces),
             radius2_m2,
@@ -133,14 +148,25 @@ impl<'a> Growth<'a> {
         }
     }
 
+    /// Per triangle its chart, or [`UNASSIGNED`].
+    fn labels(&self) -> Vec<u32> {
+        let label = |cell: &Cell| match cell.label {
+            CLOSED => UNASSIGNED,
+            label => label,
+        };
+        self.cells.iter().map(label).collect()
+    }
+
     /// Squared distance to the chart's centre plus a share for the normal; none beyond the bound.
     fn cost(&self, triangle: usize, proxy: &Proxy) -> Option<u64> {
-        let normal = self.faces.normals[triangle];
+        let Cell {
+            center_m, normal, ..
+        } = self.cells[triangle];
         let cosine = normal.dot(&proxy.normal);
         if cosine < self.min_cos && normal != Vector3::zeros() && proxy.normal != Vector3::zeros() {
             return None;
         }
-        let distance2 = (self.faces.centroids_m[triangle] - proxy.center_m).norm_squared();
+        let distance2 = (center_m - proxy.center_m).norm_squared();
         let cost = distance2 + NORMAL_WEIGHT * self.radius2_m2 * (1.0 - cosine).max(0.0);
         // Bits of non-negative numbers are ordered as the numbers are.
         Some(cost.max(0.0).to_bits())
@@ -148,8 +174,7 @@ impl<'a> Growth<'a> {
 
     fn offer(&mut self, triangle: u32, chart: u32) {
         let index = triangle as usize;
-        if self.is_open[index]
-            && self.label[index] == UNASSIGNED
+        if self.cells[index].label == UNASSIGNED
             && let Some(cost) = self.cost(index, &self.proxies[chart as usize])
         {
             self.heap.push(Reverse((cost, triangle, chart)));
@@ -160,15 +185,15 @@ impl<'a> Growth<'a> {
     fn flood(&mut self, max_triangles: usize) {
         while let Some(Reverse((_, triangle, chart))) = self.heap.pop() {
             let proxy = &mut self.proxies[chart as usize];
-            if self.label[triangle as usize] != UNASSIGNED || proxy.num_triangles >= max_triangles {
+            let cell = &mut self.cells[triangle as usize];
+            if cell.label != UNASSIGNED || proxy.num_triangles >= max_triangles {
                 continue;
             }
             proxy.num_triangles += 1;
-            self.label[triangle as usize] = chart;
-            let first = 3 * triangle as usize;
-            for h in first..first + 3 {
-                if self.mates[h] != NO_HALF_EDGE {
-                    self.offer(self.mates[h] / 3, chart);
+            cell.label = chart;
+            for mate in cell.mates {
+                if mate != NO_HALF_EDGE {
+                    self.offer(mate / 3, chart);
                 }
             }
         }
@@ -183,13 +208,13 @@ impl<'a> Growth<'a> {
         let max_first = FIRST_SIZE_SHARE * self.params.max_chart_triangles as f64;
         for i in 0..self.seed_order.len() {
             let seed = self.seed_order[i];
-            if self.label[seed as usize] != UNASSIGNED || !self.is_open[seed as usize] {
+            if self.cells[seed as usize].label != UNASSIGNED {
                 continue;
             }
             let chart = self.proxies.len() as u32;
             self.proxies.push(Proxy {
-                center_m: self.faces.centroids_m[seed as usize],
-                normal: self.faces.normals[seed as usize],
+                center_m: self.cells[seed as usize].center_m,
+                normal: self.cells[seed as usize].normal,
                 num_triangles: 0,
             });
             self.offer(seed, chart);
@@ -200,7 +225,9 @@ impl<'a> Growth<'a> {
     /// Grows all charts together from their centres.
     fn relax(&mut self) {
         let centers = self.recenter();
-        self.label.fill(UNASSIGNED);
+        for cell in self.cells.iter_mut().filter(|cell| cell.label != CLOSED) {
+            cell.label = UNASSIGNED;
+        }
         for (chart, seed) in (0_u32..).zip(centers) {
             self.offer(seed, chart);
         }
@@ -212,12 +239,12 @@ impl<'a> Growth<'a> {
     /// centre. Tiny charts are left out.
     fn recenter(&mut self) -> Vec<u32> {
         let mut sums = vec![(Vector3::zeros(), Vector3::zeros(), 0.0, 0_usize); self.proxies.len()];
-        for (triangle, &chart) in self.label.iter().enumerate() {
-            if let Some((normal, center, area, count)) = sums.get_mut(chart as usize) {
+        for (triangle, cell) in self.cells.iter().enumerate() {
+            if let Some((normal, center, area, count)) = sums.get_mut(cell.label as usize) {
                 // Triangles of no area count a little, so that a chart of them has a centre.
                 let weight = self.faces.areas_m2[triangle].max(f64::MIN_POSITIVE);
-                *normal += weight * self.faces.normals[triangle];
-                *center += weight * self.faces.centroids_m[triangle].coords;
+                *normal += weight * cell.normal;
+                *center += weight * cell.center_m.coords;
                 *area += weight;
                 *count += 1;
             }
@@ -231,11 +258,12 @@ impl<'a> Growth<'a> {
             })
             .collect();
         let mut nearest = vec![(u64::MAX, UNASSIGNED); proxies.len()];
-        for (triangle, &chart) in (0_u32..).zip(&self.label) {
-            if let Some(proxy) = proxies.get(chart as usize)
+        for (triangle, cell) in (0_u32..).zip(&self.cells) {
+            if let Some(proxy) = proxies.get(cell.label as usize)
                 && let Some(cost) = self.cost(triangle as usize, proxy)
             {
-                nearest[chart as usize] = nearest[chart as usize].min((cost, triangle));
+                let nearest = &mut nearest[cell.label as usize];
+                *nearest = (*nearest).min((cost, triangle));
             }
         }
         let kept: Vec<usize> = (0..proxies.len())

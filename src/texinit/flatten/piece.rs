@@ -25,6 +25,24 @@ impl Piece {
         Self::gather(mates, &ids.collect::<Vec<_>>(), label, num_labels)
     }
 
+    /// One piece of these triangles, which are in ascending order.
+    pub(crate) fn of_triangles(mates: &[u32], triangles: Vec<TriangleId>) -> Self {
+        let local = |h: u32| {
+            let found = triangles.binary_search(&TriangleId(h / 3));
+            #[expect(clippy::cast_possible_truncation, reason = "fewer than the mesh has")]
+            found.map_or(NO_HALF_EDGE, |place| 3 * place as u32 + h % 3)
+        };
+        let mates = triangles
+            .iter()
+            .flat_map(|t| &mates[3 * t.index()..3 * t.index() + 3])
+            .map(|&mate| match mate {
+                NO_HALF_EDGE => NO_HALF_EDGE,
+                mate => local(mate),
+            })
+            .collect();
+        Self { triangles, mates }
+    }
+
     /// This piece cut along its labels' borders, each part further into connected ones.
     pub(crate) fn split(&self, label: &[u32]) -> Vec<Self> {
         let (label, num_parts) = components_within(&self.mates, |a, b| label[a] == label[b]);

@@ -24,13 +24,19 @@ const MAX_DENSE_BOUNDARY: usize = 256;
 
 /// Why there is no factor.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub(crate) enum SolverError {
+pub enum SolverError {
     /// The matrix is not numerically positive definite.
     #[error("Laplacian of {num_vertices} vertices is not positive definite")]
-    NotPositiveDefinite { num_vertices: usize },
+    NotPositiveDefinite {
+        /// How many vertices it has.
+        num_vertices: usize,
+    },
     /// faer ran out of memory or index range.
     #[error("Laplacian of {num_vertices} vertices is too large to factor")]
-    TooLarge { num_vertices: usize },
+    TooLarge {
+        /// How many vertices it has.
+        num_vertices: usize,
+    },
 }
 
 /// The Laplacian with vertices renumbered: interior first, boundary after it in loop order.

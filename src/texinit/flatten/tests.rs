@@ -45,6 +45,8 @@ fn noise(seed: u32) -> f64 {
     f64::from(x) / f64::from(u32::MAX) * 2.0 - 1.0
 }
 
+mod absorbing;
+mod closed_forms;
 mod whole_components;
 
 fn whole() -> FlattenParams {
@@ -284,7 +286,7 @@ fn the_boundary_curve_closes() {
     let excess = (TAU - angles.iter().sum::<f64>()) / 50.0;
     let angles: Vec<f64> = angles.iter().map(|a| a + excess).collect();
     let lengths: Vec<f64> = (0..50).map(|i| 1.0 + 0.3 * noise(i + 1000)).collect();
-    let curve = bff::closed_curve(&lengths, &angles).unwrap();
+    let (curve, _) = bff::closed_curve(&lengths, &angles).unwrap();
     let mut heading = 0.0;
     for i in 0..50 {
         heading += angles[i];

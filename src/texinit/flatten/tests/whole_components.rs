@@ -15,7 +15,7 @@ fn with_cones() -> FlattenParams {
 }
 
 /// An octahedron's faces split in four `rounds` times, on the unit sphere.
-fn sphere(rounds: u32, place: impl Fn([f64; 3]) -> [f64; 3]) -> TriMesh {
+pub(super) fn sphere(rounds: u32, place: impl Fn([f64; 3]) -> [f64; 3]) -> TriMesh {
     let coarse = octahedron();
     let mut triangles: Vec<[[f64; 3]; 3]> = coarse
         .triangle_ids()
@@ -40,7 +40,7 @@ fn sphere(rounds: u32, place: impl Fn([f64; 3]) -> [f64; 3]) -> TriMesh {
     mesh(positions, indices.collect())
 }
 
-fn surface_of(mesh: &TriMesh) -> Surface {
+pub(super) fn surface_of(mesh: &TriMesh) -> Surface {
     let manifold = Manifold::new(mesh).unwrap();
     let corners = mesh
         .triangle_ids()
@@ -259,9 +259,9 @@ fn the_boundary_turns_as_asked() {
         (to[1] - from[1]).atan2(to[0] - from[0])
     };
     let mut expected = heading(0);
-    for i in 1..num {
-        expected += angles[i];
+    for (i, angle) in angles.iter().enumerate().skip(1) {
+        expected += angle;
         let off = (heading(i) - expected + PI).rem_euclid(TAU) - PI;
-        assert!(off.abs() < 0.03, "edge {i} is {off} rad off");
+        assert!(off.abs() < 1e-9, "edge {i} is {off} rad off");
     }
 }
