@@ -18,7 +18,7 @@ use veneer::keyframe::{Keyframe, KeyframeParams, KeyframeStore};
 use veneer::mesh::{TriMesh, weld};
 use veneer::render::{RasterWorkspace, ViewBuffer, rasterize};
 use veneer::synth::{SceneName, SynthOptions, synthesize};
-use veneer::texinit::assign::{AssignParams, Assignment, assign};
+use veneer::texinit::assign::{AssignParams, Assignment, FrameTable, assign};
 use veneer::texinit::density::{DensityParams, wanted_texels_per_m};
 use veneer::texinit::fill::{FillParams, fill_unseen};
 use veneer::texinit::flatten::{FlatChart, FlattenParams, absorb, flatten};
@@ -170,8 +170,8 @@ fn bench_charts(
     packed().expect("a layout").0
 }
 
-/// `rasterize`: triangles per second over one view; `assign`: triangles times frames per second,
-/// decoding included.
+/// `rasterize`: triangles per second over one view; `add_frame`: the same for one frame more in a
+/// table; `assign`: triangles times frames per second, decoding included.
 fn bench_frames(group: &mut BenchmarkGroup<'_, WallTime>, scan: &Scan) {
     let num_triangles = scan.mesh.num_triangles() as u64;
     let keyframe = &scan.keyframes[scan.keyframes.len() / 2];
@@ -192,6 +192,12 @@ fn bench_frames(group: &mut BenchmarkGroup<'_, WallTime>, scan: &Scan) {
             );
             black_box(&view);
         });
+    });
+    let mesh = Arc::new(scan.mesh.clone());
+    let mut table = FrameTable::new(mesh, AssignParams::default()).expect("a table");
+    let decoded = scan.store.decode(keyframe).expect("a frame");
+    group.bench_function("add_frame", |bencher| {
+        bencher.iter(|| table.add(0, keyframe, &decoded));
     });
     let num_pairs = num_triangles * scan.keyframes.len() as u64;
     group.throughput(Throughput::Elements(num_pairs));

@@ -1,9 +1,13 @@
 //! What a camera sees of a mesh: triangle ids, depth, visibility, and the textured picture (L1).
 
+pub mod part;
 pub mod raster;
 pub mod textured;
 pub mod visibility;
 
-pub use raster::{NO_TRIANGLE, RasterWorkspace, ViewBuffer, barycentric, rasterize};
+pub use part::{BoundingBox, Frustum, MeshPart, MeshRuns};
+pub use raster::{
+    NO_TRIANGLE, RasterWorkspace, ViewBuffer, barycentric, rasterize, rasterize_part,
+};
 pub use textured::{RenderParams, RenderedView, render_textured};
 pub use visibility::{SurfacePoint, VisibilityBuffer, VisibilityParams};

@@ -41,7 +41,7 @@ use overlap::{OverlapParams, OverlapReport};
 use transfer::{TransferError, TransferParams, TransferReport};
 
 /// Settings of all stages.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub struct TexInitParams {
     /// Charts and flattening.
     pub flatten: FlattenParams,
@@ -59,12 +59,30 @@ pub struct TexInitParams {
     pub transfer: TransferParams,
     /// What no frame sees.
     pub fill: FillParams,
+    /// Whether charts are padded with their own colours.
+    pub has_gutters: bool,
+}
+
+impl Default for TexInitParams {
+    fn default() -> Self {
+        Self {
+            flatten: FlattenParams::default(),
+            overlap: OverlapParams::default(),
+            assign: AssignParams::default(),
+            size_rule: SizeRule::default(),
+            density: DensityParams::default(),
+            pack: PackParams::default(),
+            transfer: TransferParams::default(),
+            fill: FillParams::default(),
+            has_gutters: true,
+        }
+    }
 }
 
 impl TexInitParams {
     /// The paper's form, with the published program's choices where its text is silent: one chart
     /// per connected component, its field of planes, plates of fixed size, its cues and weights
-    /// alone, every triangle by itself.
+    /// alone, every triangle by itself, colours of the nearest pixel, nothing around the charts.
     pub fn paper() -> Self {
         Self {
             flatten: FlattenParams {
@@ -74,6 +92,8 @@ impl TexInitParams {
             overlap: OverlapParams::paper(),
             size_rule: SizeRule::Paper,
             assign: AssignParams::paper(),
+            transfer: TransferParams::paper(),
+            has_gutters: false,
             ..Self::default()
         }
     }
@@ -225,7 +245,11 @@ pub fn texinit(
 
     observer.begin(Stage::Fill, 0);
     let fill_report = fill::fill_unseen(mesh, &layout, &mut texture, &params.fill)?;
-    let gutter_report = atlas::gutter::dilate_gutters(&layout, &mut texture)?;
+    let gutter_report = if params.has_gutters {
+        atlas::gutter::dilate_gutters(&layout, &mut texture)?
+    } else {
+        GutterReport::default()
+    };
 
     Ok(TexInit {
         layout,

@@ -27,6 +27,8 @@ use crate::report::{self, ReportView};
 Examples:
   veneer replay scan.mcap --out out
   veneer replay scan.mcap --out out --params-file veneer.yaml -p export.glb_images:=jpeg
+  veneer replay scan.mcap --out out --mode paper
+  veneer replay scan.mcap --out out --init l2avg
   veneer replay scan.mcap --out out -r rgb/image:=/front/image_raw")]
 pub(super) struct ReplayArgs {
     /// The recording (.mcap).
@@ -35,6 +37,15 @@ pub(super) struct ReplayArgs {
     /// Folder for what is made; created if it is not there.
     #[arg(short, long, value_name = "DIR")]
     out: PathBuf,
+
+    /// Form of the method, as `-p texinit.mode:=MODE`: ours, chart by chart, or the paper's.
+    #[arg(long, value_name = "MODE", value_parser = ["streaming", "paper"])]
+    mode: Option<String>,
+
+    /// What paints the texture, as `-p texinit.init:=INIT`: each triangle's best frame, or the
+    /// mean over all frames.
+    #[arg(long, value_name = "INIT", value_parser = ["assigned", "l2avg"])]
+    init: Option<String>,
 
     /// Print the report's numbers as JSON to standard output.
     #[arg(long)]
@@ -46,7 +57,16 @@ pub(super) struct ReplayArgs {
 
 pub(super) fn run(args: &ReplayArgs, quiet: bool) -> anyhow::Result<()> {
     let begun = Instant::now();
-    let config = args.settings.resolve()?;
+    // The mode resets what belongs to it, so it comes first.
+    let flags = [
+        ("--mode", "texinit.mode", args.mode.as_deref()),
+        ("--init", "texinit.init", args.init.as_deref()),
+    ];
+    let flags: Vec<_> = flags
+        .into_iter()
+        .filter_map(|(flag, name, value)| Some((flag, name, value?)))
+        .collect();
+    let config = args.settings.resolve_with(&flags)?;
     // An unwritable folder should be known before the work, not after it.
     std::fs::create_dir_all(&args.out)
         .with_context(|| format!("cannot create the output folder {}", args.out.display()))?;

@@ -29,12 +29,23 @@ pub(super) struct SettingsArgs {
 impl SettingsArgs {
     /// Defaults, then files, then single parameters, then remaps.
     pub(super) fn resolve(&self) -> anyhow::Result<Config> {
+        self.resolve_with(&[])
+    }
+
+    /// The same with flags that stand for parameters, (flag, parameter, value): they come after
+    /// files and before single parameters.
+    pub(super) fn resolve_with(&self, flags: &[(&str, &str, &str)]) -> anyhow::Result<Config> {
         let mut config = Config::default();
         for path in &self.params_file {
             let text = std::fs::read_to_string(path)
                 .with_context(|| format!("cannot read {}", path.display()))?;
             params_file::apply(&mut config, &text, NODE_NAME)
                 .map_err(|e| Usage(format!("{}: {e}", path.display())))?;
+        }
+        for (flag, name, value) in flags {
+            config
+                .set(name, value)
+                .map_err(|e| Usage(format!("{flag} {value}: {e}")))?;
         }
         for setting in &self.param {
             let (name, value) = split_assignment("--param", setting)?;

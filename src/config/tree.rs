@@ -6,10 +6,11 @@ use crate::export::NormalMode;
 use crate::export::pages::PageFormat;
 use crate::ingest::PoseSource;
 use crate::texinit::TexInitParams;
+use crate::texinit::assign::{ColorCue, DepthCue};
 use crate::texinit::density::SizeRule;
 use crate::texinit::flatten::{ChartBoundary, ChartMode};
 use crate::texinit::overlap::OverlapForm;
-use crate::texinit::transfer::TransferMode;
+use crate::texinit::transfer::{Lookup, MeanForm, TransferMode};
 
 use Access::{Bool, Choice, Count, Float, Float32, Int, Text};
 
@@ -132,6 +133,10 @@ pub const PARAMETERS: &[Parameter] = &[
         Float32(|c| &mut c.pipeline.texinit.assign.max_depth_difference_m, 0.001, 10.0)),
     row("texinit.unmeasured_depth_difference_m", "m", "Depth discrepancy where nothing was measured.",
         Float32(|c| &mut c.pipeline.texinit.assign.unmeasured_depth_difference_m, 0.0, 10.0)),
+    row("texinit.depth_cue", "", "Depth discrepancy: the largest of four, in range and cut off (largest), or their sum in depth (sum).",
+        Choice { words: &["largest", "sum"], set: set_depth_cue, get: depth_cue }),
+    row("texinit.color_cue", "", "Colours are compared with the mean over the frames that see the triangle (seeing), or that are valid at its vertices (vertex) or for it (triangle).",
+        Choice { words: &["seeing", "vertex", "triangle"], set: set_color_cue, get: color_cue }),
     row("texinit.occlusion_tolerance_m", "m", "The mesh hides what lies this far behind it, and a share of depth more.",
         Access::Custom { range: "0 ..= 1", set: set_occlusion_tolerance, get: occlusion_tolerance }),
     row("texinit.occlusion_relative_tolerance", "", "The share of depth that is added to it.",
@@ -154,6 +159,12 @@ pub const PARAMETERS: &[Parameter] = &[
         Access::Custom { range: "0 ..= 100", set: set_pairwise_weight, get: pairwise_weight }),
     row("texinit.size_rule", "", "One density for all charts (density), or square plates of fixed size, each filled by itself (paper).",
         Choice { words: &["density", "paper"], set: set_size_rule, get: size_rule }),
+    row("texinit.lookup", "", "A texel's colour: perspective-correct over its footprint (footprint), or the nearest pixel, affine in the image (nearest).",
+        Choice { words: &["footprint", "nearest"], set: set_lookup, get: lookup }),
+    row("texinit.mean", "", "Means run over the frames that see a texel (seeing), or over all that it projects into (projecting).",
+        Choice { words: &["seeing", "projecting"], set: set_mean, get: mean }),
+    row("texinit.gutters", "", "Pad the charts with their own colours.",
+        Bool(|c| &mut c.pipeline.texinit.has_gutters)),
     row("texinit.texels_per_m", "1/m", "Density of the texture; 0 takes it from the images.",
         Float(|c| &mut c.pipeline.texinit.density.texels_per_m, 0.0, 1e5)),
     row("texinit.density_quantile", "", "Share of the seen area whose best pixels are no smaller than a texel.",
@@ -272,6 +283,64 @@ fn size_rule(config: &Config) -> &'static str {
     match config.pipeline.texinit.size_rule {
         SizeRule::Density => "density",
         SizeRule::Paper => "paper",
+    }
+}
+
+fn set_depth_cue(config: &mut Config, word: &str) {
+    config.pipeline.texinit.assign.depth_cue = match word {
+        "sum" => DepthCue::DepthSum,
+        _ => DepthCue::LargestRange,
+    };
+}
+
+fn depth_cue(config: &Config) -> &'static str {
+    match config.pipeline.texinit.assign.depth_cue {
+        DepthCue::LargestRange => "largest",
+        DepthCue::DepthSum => "sum",
+    }
+}
+
+fn set_color_cue(config: &mut Config, word: &str) {
+    config.pipeline.texinit.assign.color_cue = match word {
+        "vertex" => ColorCue::ValidAtVertex,
+        "triangle" => ColorCue::ValidForTriangle,
+        _ => ColorCue::SeeingFrames,
+    };
+}
+
+fn color_cue(config: &Config) -> &'static str {
+    match config.pipeline.texinit.assign.color_cue {
+        ColorCue::SeeingFrames => "seeing",
+        ColorCue::ValidAtVertex => "vertex",
+        ColorCue::ValidForTriangle => "triangle",
+    }
+}
+
+fn set_lookup(config: &mut Config, word: &str) {
+    config.pipeline.texinit.transfer.lookup = match word {
+        "nearest" => Lookup::NearestAffine,
+        _ => Lookup::Footprint,
+    };
+}
+
+fn lookup(config: &Config) -> &'static str {
+    match config.pipeline.texinit.transfer.lookup {
+        Lookup::Footprint => "footprint",
+        Lookup::NearestAffine => "nearest",
+    }
+}
+
+fn set_mean(config: &mut Config, word: &str) {
+    config.pipeline.texinit.transfer.mean_form = match word {
+        "projecting" => MeanForm::Projecting,
+        _ => MeanForm::Seeing,
+    };
+}
+
+fn mean(config: &Config) -> &'static str {
+    match config.pipeline.texinit.transfer.mean_form {
+        MeanForm::Seeing => "seeing",
+        MeanForm::Projecting => "projecting",
     }
 }
 

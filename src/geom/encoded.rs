@@ -371,20 +371,26 @@ impl EncodedDepth {
     pub fn decode(&self) -> Result<DepthImage, ImageError> {
         let row_bytes = self.row_bytes as usize;
         let size = [self.width, self.height];
-        let depth_m = match self.encoding {
-            DepthEncoding::U16Mm { big_endian } => {
-                let mm = pixel_format::u16_rows(size, row_bytes, &self.bytes, big_endian);
-                metres_from_mm(&mm)
-            }
-            DepthEncoding::F32M { big_endian } => {
-                pixel_format::f32_rows(size, row_bytes, &self.bytes, big_endian)
-            }
-            DepthEncoding::Png16Mm | DepthEncoding::RvlMm => metres_from_mm(&self.quantised()?),
+        let in_mm = |mm| DepthImage::from_mm(self.width, self.height, mm);
+        let in_m = |depth_m| DepthImage::new(self.width, self.height, depth_m);
+        match self.encoding {
+            DepthEncoding::U16Mm { big_endian } => in_mm(pixel_format::u16_rows(
+                size,
+                row_bytes,
+                &self.bytes,
+                big_endian,
+            )),
+            DepthEncoding::F32M { big_endian } => in_m(pixel_format::f32_rows(
+                size,
+                row_bytes,
+                &self.bytes,
+                big_endian,
+            )),
+            DepthEncoding::Png16Mm | DepthEncoding::RvlMm => in_mm(self.quantised()?),
             DepthEncoding::Png16Inverse { a, b } | DepthEncoding::RvlInverse { a, b } => {
-                metres_from_inverse(&self.quantised()?, a, b)
+                in_m(metres_from_inverse(&self.quantised()?, a, b))
             }
-        };
-        DepthImage::new(self.width, self.height, depth_m)
+        }
     }
 
     fn quantised(&self) -> Result<Vec<u16>, ImageError> {
@@ -436,11 +442,6 @@ impl EncodedDepth {
     pub fn bytes(&self) -> &Arc<[u8]> {
         &self.bytes
     }
-}
-
-fn metres_from_mm(depth_mm: &[u16]) -> Vec<f32> {
-    // Division, not a product with 0.001: it gives the float nearest to the decimal value.
-    depth_mm.iter().map(|&mm| f32::from(mm) / 1000.0).collect()
 }
 
 fn metres_from_inverse(quantised: &[u16], a: f32, b: f32) -> Vec<f32> {

@@ -71,13 +71,40 @@ pub(crate) fn decode_png_rgb(bytes: &[u8], size: [u32; 2]) -> Result<Vec<[u8; 3]
 }
 
 pub(crate) fn decode_png_grey16(bytes: &[u8], size: [u32; 2]) -> Result<Vec<u16>, ImageError> {
-    match decode_png(bytes, size)? {
-        DynamicImage::ImageLuma16(image) => Ok(image.into_raw()),
-        other => Err(codec_error(
+    let [width, height] = size;
+    let num_pixels = width as usize * height as usize;
+    // Twice the pixels, for the decoder's own rows and buffers.
+    let limits = png::Limits {
+        bytes: num_pixels * 4 + (1 << 20),
+    };
+    let mut reader = png::Decoder::new_with_limits(Cursor::new(bytes), limits)
+        .read_info()
+        .map_err(|e| codec_error("png", e))?;
+    let info = reader.info();
+    if (info.width, info.height) != (width, height) {
+        return Err(codec_error(
             "png",
-            format_args!("depth needs 16-bit grey, pixels are {:?}", other.color()),
-        )),
+            format_args!(
+                "size {}x{} in the stream, {width}x{height} in the header",
+                info.width, info.height
+            ),
+        ));
     }
+    if reader.output_color_type() != (png::ColorType::Grayscale, png::BitDepth::Sixteen) {
+        return Err(codec_error(
+            "png",
+            format_args!(
+                "depth needs 16-bit grey, pixels are {:?}",
+                reader.output_color_type()
+            ),
+        ));
+    }
+    let mut big_endian = vec![0u8; num_pixels * 2];
+    reader
+        .next_frame(&mut big_endian)
+        .map_err(|e| codec_error("png", e))?;
+    let samples = big_endian.as_chunks::<2>().0;
+    Ok(samples.iter().map(|&s| u16::from_be_bytes(s)).collect())
 }
 
 /// A PNG at the fast level (the slower ones take seconds for an atlas page).

@@ -142,20 +142,12 @@ impl UndistortionMap {
     /// [`ImageError::Length`] when the image does not have the camera's size.
     pub fn depth(&self, recorded: &DepthImage) -> Result<DepthImage, ImageError> {
         self.check_size(recorded.width(), recorded.height())?;
-        let source = recorded.depths_m();
         let (right, below) = self.steps();
-        let depth_m = self
-            .taps
-            .iter()
-            .map(|tap| {
-                if tap.index == INVALID {
-                    return 0.0;
-                }
-                let [fx, fy] = tap.fraction.map(|f| usize::from(f >= 128));
-                source[tap.index as usize + fx * right + fy * below]
-            })
-            .collect();
-        DepthImage::new(self.camera.width(), self.camera.height(), depth_m)
+        let nearest = self.taps.iter().map(|tap| {
+            let [fx, fy] = tap.fraction.map(|f| usize::from(f >= 128));
+            (tap.index != INVALID).then(|| tap.index as usize + fx * right + fy * below)
+        });
+        recorded.gathered(self.camera.width(), self.camera.height(), nearest)
     }
 
     /// Index steps to the right and the lower neighbour; 0 in an image of one column or row.

@@ -27,8 +27,8 @@ pub struct Rejection {
     pub reason: String,
 }
 
-/// An ordered stream of events.
-pub trait EventSource {
+/// An ordered stream of events; it may be read on another thread than the one that made it.
+pub trait EventSource: Send {
     /// Names of the topics that events refer to.
     fn topics(&self) -> &[String];
 

@@ -4,8 +4,8 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use super::frame::Keyframe;
 use crate::geom::{
-    CameraModel, ColorImage, DepthImage, Distortion, ImageError, PinholeCamera, RigidTransform,
-    UndistortionMap,
+    CameraModel, ColorImage, DepthImage, Distortion, FrameDepth, ImageError, PinholeCamera,
+    RigidTransform, UndistortionMap,
 };
 
 /// A decoded keyframe.
@@ -37,25 +37,28 @@ impl DecodedFrame {
     /// [`ImageError`] when an image does not decode, does not have its camera's size, or lies
     /// outside its lens model.
     pub fn decode(keyframe: &Keyframe, lenses: &LensCache) -> Result<Self, ImageError> {
+        Self::decode_with_depth(keyframe, None, lenses)
+    }
+
+    /// The same where the depth half is known already.
+    pub(super) fn decode_with_depth(
+        keyframe: &Keyframe,
+        known_depth: Option<DecodedDepth>,
+        lenses: &LensCache,
+    ) -> Result<Self, ImageError> {
         let recorded = keyframe.color.decode()?;
         let (color, color_camera) = match lenses.map(&keyframe.color_camera)? {
             Some(map) => (map.color(&recorded)?, *map.color_camera()),
             None => (recorded, keyframe.color_camera.pinhole),
         };
-        let depth = match &keyframe.depth {
-            Some(half) => {
-                let recorded = half.image.decode()?;
-                let image = match lenses.map(&half.camera)? {
-                    Some(map) => map.depth(&recorded)?,
-                    None => recorded,
-                };
-                Some(DecodedDepth {
-                    image,
-                    camera: half.camera.pinhole,
-                    depth_from_color: half.depth_from_color,
-                })
-            }
-            None => None,
+        let depth = match (known_depth, &keyframe.depth) {
+            (Some(known), _) => Some(known),
+            (None, Some(half)) => Some(DecodedDepth::undistorted(
+                half,
+                half.image.decode()?,
+                lenses,
+            )?),
+            (None, None) => None,
         };
         Ok(Self {
             color,
@@ -70,8 +73,31 @@ impl DecodedFrame {
         let depth = self
             .depth
             .as_ref()
-            .map_or(0, |depth| size_of_val(depth.image.depths_m()));
+            .map_or(0, |depth| depth.image.num_bytes());
         color + depth
+    }
+}
+
+impl DecodedDepth {
+    /// The depth half of a keyframe, from its image as recorded.
+    ///
+    /// # Errors
+    /// [`ImageError`] when the image does not have its camera's size or lies outside its lens
+    /// model.
+    pub(super) fn undistorted(
+        half: &FrameDepth,
+        recorded: DepthImage,
+        lenses: &LensCache,
+    ) -> Result<Self, ImageError> {
+        let image = match lenses.map(&half.camera)? {
+            Some(map) => map.depth(&recorded)?,
+            None => recorded,
+        };
+        Ok(Self {
+            image,
+            camera: half.camera.pinhole,
+            depth_from_color: half.depth_from_color,
+        })
     }
 }
 

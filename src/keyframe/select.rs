@@ -46,7 +46,7 @@ impl Default for KeyframeParams {
     fn default() -> Self {
         Self {
             budget_mb: 512.0,
-            decode_cache_mb: 256.0,
+            decode_cache_mb: 700.0,
             min_translation_m: 0.10,
             min_rotation_rad: 0.17,
             sparse_interval_s: 0.4,

@@ -227,7 +227,14 @@ impl KeyframeStore {
             .color
             .compressed_lossless()
             .map_err(RejectReason::BadImage)?;
-        self.insert(frame, quality, view, replaced)
+        let admission = self.insert(frame, quality, view, replaced)?;
+        if let (Admission::Kept(id) | Admission::Replaced { id, .. }, Some(depth)) =
+            (&admission, depth)
+            && let Some(stored) = self.stored.get(id)
+        {
+            self.cache.offer_depth(&stored.keyframe, depth);
+        }
+        Ok(admission)
     }
 
     /// Decodes the depth image; one that cannot be used is taken out of the frame and counted.

@@ -2,12 +2,15 @@
 
 use std::sync::Arc;
 
+use rayon::prelude::*;
+
 use super::clock::StageClock;
 use super::held_out::{self, HeldOutParams, HeldOutView};
 use super::progress::Progress;
-use crate::geom::Stamp;
+use crate::geom::{ImageError, PosedFrame, Stamp};
 use crate::ingest::{Assembled, Assembler, EventSource, IngestParams, IngestReport};
-use crate::keyframe::{Keyframe, KeyframeParams, KeyframeReport, KeyframeStore};
+use crate::keyframe::quality;
+use crate::keyframe::{FrameQuality, Keyframe, KeyframeParams, KeyframeReport, KeyframeStore};
 use crate::mesh::weld::{WeldError, weld};
 use crate::mesh::{MeshError, TriMesh, subdivide};
 use crate::texinit::{TexInit, TexInitError, TexInitParams, texinit};
@@ -152,44 +155,95 @@ fn gather(
     params: &PipelineParams,
     clock: &StageClock<'_>,
 ) -> Gathered {
-    let mut assembler = Assembler::new(&params.ingest, source.topics());
+    let mut reader = FrameReader {
+        assembler: Assembler::new(&params.ingest, source.topics()),
+        source,
+        clock,
+        span: None,
+        is_at_end: false,
+    };
     let mut store = KeyframeStore::new(&params.keyframe);
     let mut mesh = None;
     let mut num_mesh_updates = 0;
-    let mut span: Option<(Stamp, Stamp)> = None;
-    let mut assembled = Vec::new();
-    loop {
-        let event = source.next_event();
-        let is_end = event.is_none();
-        match event {
-            Some(event) => {
-                let (first, last) = span.unwrap_or((event.received, event.received));
-                span = Some((first.min(event.received), last.max(event.received)));
-                assembler.push(event, &mut assembled);
-            }
-            None => assembler.finish(&mut assembled),
-        }
-        clock.advance(1);
-        for item in assembled.drain(..) {
-            match item {
-                // The store counts what it does with each frame.
-                Assembled::Frame(frame) => drop(store.offer(frame)),
-                Assembled::Mesh(update) => {
-                    mesh = Some(update);
-                    num_mesh_updates += 1;
+    let mut batch = reader.next_batch();
+    while !batch.is_empty() {
+        // The store takes frames one by one, in order; meanwhile the next ones are read and judged.
+        let ((), next) = rayon::join(
+            || {
+                for item in batch {
+                    match item {
+                        // The store counts what it does with each frame.
+                        Gained::Frame(frame, quality) => {
+                            drop(store.offer_measured(*frame, quality));
+                        }
+                        Gained::Mesh(update) => {
+                            mesh = Some(update);
+                            num_mesh_updates += 1;
+                        }
+                    }
                 }
-            }
-        }
-        if is_end {
-            break;
-        }
+            },
+            || reader.next_batch(),
+        );
+        batch = next;
     }
     Gathered {
         store,
         mesh,
         num_mesh_updates,
-        duration_s: span.map_or(0.0, |(first, last)| last.seconds_since(first)),
-        ingest: assembler.report().clone(),
+        duration_s: reader
+            .span
+            .map_or(0.0, |(first, last)| last.seconds_since(first)),
+        ingest: reader.assembler.report().clone(),
+    }
+}
+
+/// Frames that are read ahead; raw images are large.
+const BATCH_SIZE: usize = 8;
+
+/// What a stretch of the stream brought.
+enum Gained {
+    Frame(Box<PosedFrame>, Result<FrameQuality, ImageError>),
+    Mesh(Arc<TriMesh>),
+}
+
+/// Reads the stream batch by batch.
+struct FrameReader<'a> {
+    assembler: Assembler,
+    source: &'a mut dyn EventSource,
+    clock: &'a StageClock<'a>,
+    span: Option<(Stamp, Stamp)>,
+    is_at_end: bool,
+}
+
+impl FrameReader<'_> {
+    /// What comes next, in order, with every frame's image judged; empty at the end of the stream.
+    fn next_batch(&mut self) -> Vec<Gained> {
+        let mut assembled = Vec::new();
+        while !self.is_at_end && assembled.len() < BATCH_SIZE {
+            match self.source.next_event() {
+                Some(event) => {
+                    let (first, last) = self.span.unwrap_or((event.received, event.received));
+                    self.span = Some((first.min(event.received), last.max(event.received)));
+                    self.assembler.push(event, &mut assembled);
+                }
+                None => {
+                    self.assembler.finish(&mut assembled);
+                    self.is_at_end = true;
+                }
+            }
+            self.clock.advance(1);
+        }
+        assembled
+            .into_par_iter()
+            .map(|item| match item {
+                Assembled::Frame(frame) => {
+                    let quality = quality::measure(&frame.color);
+                    Gained::Frame(Box::new(frame), quality)
+                }
+                Assembled::Mesh(update) => Gained::Mesh(update),
+            })
+            .collect()
     }
 }
 

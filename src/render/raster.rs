@@ -10,13 +10,15 @@
 //! guard band that keeps the integers in range (Sutherland–Hodgman, from the inner to the outer
 //! end of each edge, so that neighbours are cut at the same points).
 //!
-//! Ties: the nearest depth wins, then the lowest id; the outcome does not depend on the order of a
-//! triangle's corners. Triangles that cover no pixel centre leave no trace.
+//! Ties: the nearest depth wins, then the lowest id; the outcome depends neither on the order of
+//! the triangles nor on that of a triangle's corners. Triangles that cover no pixel centre leave no trace.
 
 use nalgebra::{Matrix3, Point3, Vector3};
 
 use crate::geom::{PinholeCamera, RigidTransform};
 use crate::mesh::TriMesh;
+
+use super::part::MeshPart;
 
 /// Id of pixels that no triangle covers.
 pub const NO_TRIANGLE: u32 = u32::MAX;
@@ -161,13 +163,26 @@ pub fn rasterize(
     workspace: &mut RasterWorkspace,
     out: &mut ViewBuffer,
 ) {
+    let whole = MeshPart::whole(mesh);
+    rasterize_part(mesh, &whole, camera, camera_from_world, workspace, out);
+}
+
+/// Draws a part of `mesh`; of a part that has all that the camera may see
+/// ([`super::MeshRuns::in_view`]), the picture is that of the whole.
+pub fn rasterize_part(
+    mesh: &TriMesh,
+    part: &MeshPart,
+    camera: &PinholeCamera,
+    camera_from_world: &RigidTransform,
+    workspace: &mut RasterWorkspace,
+    out: &mut ViewBuffer,
+) {
     out.clear(camera.width(), camera.height());
     let projector = Projector::new(camera, camera_from_world);
     let vertices = &mut workspace.vertices;
-    vertices.clear();
-    vertices.extend(mesh.positions_m().iter().map(|p| projector.project(p)));
+    part.map_vertices(mesh, vertices, |p| projector.project(p));
 
-    for (triangle, corners) in (0u32..).zip(mesh.triangles()) {
+    for (triangle, corners) in part.front_to_back(mesh) {
         let [a, b, c] = corners.map(|v| vertices[v as usize]);
         let any = a.outcode | b.outcode | c.outcode;
         if a.outcode & b.outcode & c.outcode & OUTSIDE != 0 || any & NOT_FINITE != 0 {
@@ -297,23 +312,37 @@ fn canonical(mut corners: [ScreenVertex; 3]) -> Option<([ScreenVertex; 3], i64)>
     reason = "pixel indices are clamped to the image; depth is rounded to f32 on purpose"
 )]
 fn draw(corners: [ScreenVertex; 3], triangle: u32, out: &mut ViewBuffer) {
-    let Some(([a, b, c], area2)) = canonical(corners) else {
-        return;
+    let extent = |along: fn(&ScreenVertex) -> i32, size: u32| {
+        let [p, q, r] = corners.each_ref().map(along).map(i64::from);
+        let first = p.min(q).min(r);
+        let first = first.div_euclid(256) + i64::from(first.rem_euclid(256) != 0);
+        let last = p.max(q).max(r).div_euclid(256);
+        (first.max(0), last.min(i64::from(size) - 1))
     };
-    let first_px = |v: i32| i64::from(v).div_euclid(256) + i64::from(v.rem_euclid(256) != 0);
-    let last_px = |v: i32| i64::from(v).div_euclid(256);
-    let x_first = first_px(a.x.min(b.x).min(c.x)).max(0);
-    let x_last = last_px(a.x.max(b.x).max(c.x)).min(i64::from(out.width) - 1);
-    let y_first = first_px(a.y.min(b.y).min(c.y)).max(0);
-    let y_last = last_px(a.y.max(b.y).max(c.y)).min(i64::from(out.height) - 1);
+    let (x_first, x_last) = extent(|v| v.x, out.width);
+    let (y_first, y_last) = extent(|v| v.y, out.height);
     if x_first > x_last || y_first > y_last {
         return;
     }
-    let mut edges = [(b, c), (c, a), (a, b)].map(|(p, q)| Edge::new(p, q, x_first, y_first));
-
-    let inv_z = [a.inv_z, b.inv_z, c.inv_z];
+    let inv_z = corners.map(|corner| corner.inv_z);
     let nearest = inv_z[0].max(inv_z[1]).max(inv_z[2]);
     let farthest = inv_z[0].min(inv_z[1]).min(inv_z[2]);
+    let width = out.width as usize;
+    let columns = x_first as usize..x_last as usize + 1;
+    // Nothing of it can win where all of its box shows nearer surfaces, which in a building, drawn
+    // from front to back, is the lot of most triangles.
+    let is_hidden = out.depth_m[y_first as usize * width..(y_last as usize + 1) * width]
+        .chunks_exact(width)
+        .all(|row| row[columns.clone()].iter().all(|&inv_z| inv_z > nearest));
+    if is_hidden {
+        return;
+    }
+
+    let Some(([a, b, c], area2)) = canonical(corners) else {
+        return;
+    };
+    let mut edges = [(b, c), (c, a), (a, b)].map(|(p, q)| Edge::new(p, q, x_first, y_first));
+    let inv_z = [a.inv_z, b.inv_z, c.inv_z];
     let inv_area2 = 1.0 / area2 as f64;
     let weigh = |value: fn(&Edge) -> i64| {
         let terms: [f64; 3] =
@@ -323,7 +352,6 @@ fn draw(corners: [ScreenVertex; 3], triangle: u32, out: &mut ViewBuffer) {
     let (step_x, step_y) = (weigh(|e| e.step_x), weigh(|e| e.step_y));
     let mut row_inv_z = weigh(|e| e.unbiased);
 
-    let width = out.width as usize;
     let box_width = x_last - x_first + 1;
     for y in y_first..=y_last {
         let (skip, end) = if box_width > SPAN_WIDTH_PX {
@@ -336,16 +364,23 @@ fn draw(corners: [ScreenVertex; 3], triangle: u32, out: &mut ViewBuffer) {
             let range = start..start + (end - skip) as usize;
             let mut e = edges.map(|edge| edge.row + skip * edge.step_x);
             let mut pixel_inv_z = row_inv_z + skip as f64 * step_x;
+            let mut has_entered = false;
             let pixels = out.depth_m[range.clone()]
                 .iter_mut()
                 .zip(&mut out.triangle[range]);
             for (stored, id) in pixels {
-                if (e[0] | e[1] | e[2]) >= 0 {
+                let is_inside = (e[0] | e[1] | e[2]) >= 0;
+                if is_inside {
+                    has_entered = true;
                     let candidate = (pixel_inv_z as f32).clamp(farthest, nearest);
-                    if candidate > *stored {
+                    let is_nearer = candidate > *stored || (candidate == *stored && triangle < *id);
+                    if is_nearer {
                         *stored = candidate;
                         *id = triangle;
                     }
+                } else if has_entered {
+                    // A row of a triangle is one run.
+                    break;
                 }
                 for (value, edge) in e.iter_mut().zip(&edges) {
                     *value += edge.step_x;

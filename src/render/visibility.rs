@@ -16,7 +16,8 @@ use crate::geom::camera::CameraError;
 use crate::geom::{PinholeCamera, RigidTransform};
 use crate::mesh::TriMesh;
 
-use super::raster::{NO_TRIANGLE, RasterWorkspace, ViewBuffer, rasterize};
+use super::part::MeshPart;
+use super::raster::{NO_TRIANGLE, RasterWorkspace, ViewBuffer, rasterize_part};
 
 /// How visibility is decided.
 #[derive(Clone, Debug, PartialEq)]
@@ -74,10 +75,10 @@ pub struct VisibilityBuffer {
 }
 
 /// Side of the blocks that [`VisibilityBuffer::hides_all`] looks at, pixels of the buffer.
-const BLOCK_PX: usize = 8;
+const BLOCK_PX: usize = 4;
 
 /// Triangles over more blocks than this are not looked at.
-const MAX_BLOCKS: usize = 64;
+const MAX_BLOCKS: usize = 256;
 
 impl VisibilityBuffer {
     /// Draws the mesh as `camera` sees it.
@@ -91,10 +92,28 @@ impl VisibilityBuffer {
         camera_from_world: &RigidTransform,
         params: &VisibilityParams,
     ) -> Result<(), CameraError> {
+        let whole = MeshPart::whole(mesh);
+        self.update_part(mesh, &whole, camera, camera_from_world, params)
+    }
+
+    /// The same from the part of the mesh that `camera` may see
+    /// ([`super::MeshRuns::in_view`]).
+    ///
+    /// # Errors
+    /// [`CameraError`] when the camera cannot be scaled to the buffer's size.
+    pub fn update_part(
+        &mut self,
+        mesh: &TriMesh,
+        part: &MeshPart,
+        camera: &PinholeCamera,
+        camera_from_world: &RigidTransform,
+        params: &VisibilityParams,
+    ) -> Result<(), CameraError> {
         let [width, height] = buffer_size(camera, params.max_width_px);
         let scaled = camera.resized(width, height)?;
-        rasterize(
+        rasterize_part(
             mesh,
+            part,
             &scaled,
             camera_from_world,
             &mut self.raster,

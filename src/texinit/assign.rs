@@ -9,17 +9,19 @@
 //! - C1: area of the projected triangle in px². As the paper has it, its weight against the other
 //!   cues grows with the resolution of the images; [`AssignParams::reference_width_px`] counts
 //!   pixels as if each image were that wide.
-//! - C2: the largest difference over the vertices and the centroid between the measured and the
-//!   predicted distance from the depth camera, metres, at the nearest depth pixel.
+//! - C2: the difference between the measured and the predicted depth at the vertices and the
+//!   centroid, metres, at the nearest depth pixel: the largest of the four differences of range, or
+//!   their sum along the axis ([`DepthCue`]). Depths under 1 mm are none. A frame without a depth
+//!   image says nothing: 0.
 //! - C3: distance in RGB ([0, 1] per channel, sRGB) between the mean colour at the vertices
-//!   (nearest pixel) in this frame and its mean over the frames.
+//!   (nearest pixel) in this frame and its mean over the frames ([`ColorCue`]).
 //! - Ours: occlusion by the mesh itself, depth edges, image border, grazing views, back faces,
 //!   sharpness and exposure of the frame, and the resolution as pixels per metre, which C1 loses
 //!   when triangles are small.
 //!
 //! Scores separate per (triangle, frame); what couples frames is one colour sum per triangle, in
-//! integers, and one median per quality figure. Frames may therefore be added one by one and in
-//! any order ([`label::CandidateTable`]), with the result of the batch to the last bit.
+//! integers, and one median per quality figure. Frames may therefore come one by one, in any order,
+//! and go again ([`FrameTable`]), with the result of the batch to the last bit.
 //!
 //! Memory: 16 bytes per (triangle, frame) in view and not beaten by the empty label: a frame costs
 //! about what its JPEG costs.
@@ -27,7 +29,10 @@
 pub mod cues;
 pub mod label;
 pub mod pairwise;
+mod table;
 pub mod validity;
+
+pub use table::FrameTable;
 
 use std::sync::Arc;
 
@@ -36,20 +41,34 @@ use rayon::prelude::*;
 use crate::geom::{ImageError, RigidTransform};
 use crate::keyframe::{DecodedFrame, FrameQuality, Keyframe};
 use crate::mesh::TriMesh;
-use crate::render::VisibilityParams;
+use crate::render::{MeshRuns, VisibilityParams};
 
 use cues::FrameCandidates;
 use label::CandidateTable;
 use pairwise::PairwiseParams;
 
-/// Which frames the mean colour of cue C3 runs over.
+/// The form of C2.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ColorReference {
-    /// Per triangle, the frames that see it.
+pub enum DepthCue {
+    /// The largest of the four differences, of distances from the camera; past
+    /// [`AssignParams::max_depth_difference_m`] it is a rejection (the authors' program).
+    LargestRange,
+    /// The sum of the four differences, of depths along the camera's axis, however large (the
+    /// paper's text).
+    DepthSum,
+}
+
+/// The form of C3: which frames the mean colour runs over, and how colours are compared.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ColorCue {
+    /// Mean per triangle over the frames that see it; Euclidean distance.
     SeeingFrames,
-    /// Per vertex, the frames that are valid for any triangle at it, occluded or not (the
-    /// authors' program).
-    ValidFrames,
+    /// Mean per vertex over the frames that are valid for any triangle at it, occluded or not;
+    /// Euclidean distance (the authors' program).
+    ValidAtVertex,
+    /// Mean per triangle over the frames that are valid for it, occluded or not; sum of absolute
+    /// differences (the paper's text).
+    ValidForTriangle,
 }
 
 /// How frames are scored. Scores are dimensionless; larger is better.
@@ -71,8 +90,10 @@ pub struct AssignParams {
     pub rejected_depth_difference_m: f32,
     /// C2 where nothing was measured, metres.
     pub unmeasured_depth_difference_m: f32,
-    /// What C3 compares with.
-    pub color_reference: ColorReference,
+    /// The form of C2.
+    pub depth_cue: DepthCue,
+    /// The form of C3.
+    pub color_cue: ColorCue,
     /// The mesh hides what lies behind it; `None` trusts the measured depth alone.
     pub visibility: Option<VisibilityParams>,
     /// Taken off for a depth edge nearby (≥ 0).
@@ -103,7 +124,7 @@ impl Default for AssignParams {
         Self {
             reference_width_px: Some(640),
             unmeasured_depth_difference_m: 0.1,
-            color_reference: ColorReference::SeeingFrames,
+            color_cue: ColorCue::SeeingFrames,
             visibility: Some(VisibilityParams::default()),
             depth_edge_penalty: 2.0,
             hidden_penalty: 4.0,
@@ -133,7 +154,8 @@ impl AssignParams {
             max_depth_difference_m: 0.25,
             rejected_depth_difference_m: 5.0,
             unmeasured_depth_difference_m: 5.0,
-            color_reference: ColorReference::ValidFrames,
+            depth_cue: DepthCue::LargestRange,
+            color_cue: ColorCue::ValidAtVertex,
             visibility: None,
             depth_edge_penalty: 0.0,
             hidden_penalty: 0.0,
@@ -145,6 +167,17 @@ impl AssignParams {
             sharpness_weight: 0.0,
             exposure_weight: 0.0,
             pairwise: None,
+        }
+    }
+
+    /// The cues word for word as the paper prints them, where the published program differs: C2 a
+    /// sum of differences in depth without a cut, C3 over each triangle's own valid frames. What
+    /// the text does not say is the program's.
+    pub fn paper_as_printed() -> Self {
+        Self {
+            depth_cue: DepthCue::DepthSum,
+            color_cue: ColorCue::ValidForTriangle,
+            ..Self::paper()
         }
     }
 
@@ -316,6 +349,7 @@ pub(crate) fn assign_poses(
     params.check()?;
     let num_frames =
         u32::try_from(frames.len()).map_err(|_| AssignError::TooManyFrames(frames.len()))?;
+    let runs = MeshRuns::new(mesh);
     let scored: Vec<Result<FrameCandidates, FailedFrame>> = (0..num_frames)
         .into_par_iter()
         .map_init(cues::FrameWorkspace::default, |workspace, frame| {
@@ -323,7 +357,7 @@ pub(crate) fn assign_poses(
             let candidates = decode(frame as usize)
                 .map_err(|error| error.to_string())
                 .and_then(|decoded| {
-                    cues::score_frame(mesh, pose, &decoded, params, workspace)
+                    cues::score_frame(mesh, &runs, pose, &decoded, params, workspace)
                         .map_err(|error| error.to_string())
                 })
                 .map_err(|reason| FailedFrame { frame, reason });
@@ -333,16 +367,15 @@ pub(crate) fn assign_poses(
         .collect();
 
     let mut table = CandidateTable::new(mesh.num_triangles(), mesh.num_vertices());
-    let mut failed_frames = vec![];
+    let mut columns = Vec::with_capacity(scored.len());
     for (frame, candidates) in (0u32..).zip(scored) {
         match candidates {
-            Ok(candidates) => table.add(frame, frames[frame as usize].quality, candidates),
-            Err(failed) => failed_frames.push(failed),
+            Ok(candidates) => columns.push((frame, frames[frame as usize].quality, candidates)),
+            Err(failed) => table.fail(failed),
         }
     }
-    let mut assignment = table.assign(mesh, params);
-    assignment.report.failed_frames = failed_frames;
-    Ok(assignment)
+    table.add_all(columns);
+    Ok(table.assign(mesh, params))
 }
 
 #[cfg(test)]

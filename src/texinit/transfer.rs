@@ -13,6 +13,9 @@
 //! [`TexelSource::NONE`]. [`TransferMode::L2Avg`] paints every texel with the mean over the frames
 //! that see it; with [`VisibilityParams::edge_margin_px`] 0 all of them count alike.
 //!
+//! [`TransferParams::paper`] is the published program's form of it: the nearest pixel, affine in the
+//! image plane, and means over every frame that a texel projects into.
+//!
 //! Each frame is decoded once. Frames are worked on in groups of a fixed size; every texel is
 //! written by one frame, and means are integer sums, so the bytes do not depend on threads.
 //!
@@ -24,15 +27,15 @@ mod sampler;
 
 use std::sync::Arc;
 
-use nalgebra::Point3;
+use nalgebra::{Point3, Rotation3};
 use rayon::prelude::*;
 
 use crate::atlas::texels::for_each_texel_within;
 use crate::atlas::{AtlasLayout, AtlasTexture, TexelSource, TexturePage};
-use crate::geom::ImageError;
+use crate::geom::{ImageError, RigidTransform};
 use crate::keyframe::{DecodedFrame, Keyframe};
 use crate::mesh::{TriMesh, TriangleId};
-use crate::render::{VisibilityBuffer, VisibilityParams};
+use crate::render::{Frustum, MeshRuns, VisibilityBuffer, VisibilityParams};
 
 use super::assign::{Assignment, FailedFrame, FramePose};
 use mean::MeanTexels;
@@ -54,11 +57,37 @@ pub enum TransferMode {
     L2Avg,
 }
 
+/// How a texel's colour is looked up in an image.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub enum Lookup {
+    /// Perspective-correct, averaged over the texel's footprint.
+    #[default]
+    Footprint,
+    /// The pixel nearest to where the texel's centre lands when the triangle's three pixels are
+    /// joined affinely (the authors' program).
+    NearestAffine,
+}
+
+/// Which frames a mean runs over, and how.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub enum MeanForm {
+    /// The frames that see the texel, in linear light.
+    #[default]
+    Seeing,
+    /// The frames into whose image it projects, whatever lies before it, of sRGB values (the
+    /// authors' program).
+    Projecting,
+}
+
 /// How colours are transferred.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TransferParams {
     /// Where texels take their colours from.
     pub mode: TransferMode,
+    /// How colours are looked up.
+    pub lookup: Lookup,
+    /// What a mean runs over.
+    pub mean_form: MeanForm,
     /// Samples along each side of a texel where the image is finer, 1..=16.
     pub max_samples: u32,
     /// Which frames a mean runs over: visibility by the mesh.
@@ -71,12 +100,25 @@ impl Default for TransferParams {
     fn default() -> Self {
         Self {
             mode: TransferMode::Assigned,
+            lookup: Lookup::Footprint,
+            mean_form: MeanForm::Seeing,
             max_samples: 8,
             visibility: VisibilityParams {
                 edge_margin_px: 2,
                 ..VisibilityParams::default()
             },
             max_depth_difference_m: 0.25,
+        }
+    }
+}
+
+impl TransferParams {
+    /// The published program's form: nearest pixels, affine in the image, means over every frame.
+    pub fn paper() -> Self {
+        Self {
+            lookup: Lookup::NearestAffine,
+            mean_form: MeanForm::Projecting,
+            ..Self::default()
         }
     }
 }
@@ -172,6 +214,7 @@ pub(crate) fn transfer_poses(
 
     let painter = Painter {
         mesh,
+        runs: MeshRuns::new(mesh),
         layout,
         params,
         is_assigned: params.mode == TransferMode::Assigned,
@@ -183,7 +226,7 @@ pub(crate) fn transfer_poses(
             || assignment.label[triangle.index()].is_none()
             || assignment.is_partly_hidden[triangle.index()]
     };
-    let mut means = MeanTexels::new(layout, mesh.triangle_ids().filter(needs_mean));
+    let mut means = MeanTexels::new(mesh, layout, mesh.triangle_ids().filter(needs_mean));
 
     let mut buffers = vec![VisibilityBuffer::default(); GROUP_SIZE];
     let groups = frames.chunks(GROUP_SIZE).zip(by_frame.chunks(GROUP_SIZE));
@@ -206,20 +249,16 @@ pub(crate) fn transfer_poses(
             })
             .collect();
         let mut seen = vec![];
-        for (look, pose) in looks.into_iter().zip(group) {
+        for look in looks {
             match look {
-                Ok(Some(look)) => {
-                    report.num_assigned +=
-                        scatter(&look.painted, TexelSource::keyframe(pose.id), &mut pages);
-                    seen.push(look);
-                }
-                Ok(None) => {}
+                Ok(look) => seen.extend(look),
                 Err(failed) => report.failed_frames.push(failed),
             }
         }
+        report.num_assigned += scatter(&seen, &mut pages);
         means.accumulate(mesh, layout, &seen, params);
     }
-    (report.num_mean, report.num_unseen) = means.write(layout, &mut pages);
+    (report.num_mean, report.num_unseen) = means.write(layout, params.mean_form, &mut pages);
     Ok((AtlasTexture { pages }, report))
 }
 
@@ -277,23 +316,39 @@ fn triangles_by_frame(label: &[Option<u32>], num_frames: usize) -> Vec<Vec<Trian
 
 /// What came of looking through one frame.
 struct FrameLook<'a> {
+    source: TexelSource,
     frame: Arc<DecodedFrame>,
-    /// Vertices of the mesh in the camera.
-    points_in_camera: Vec<Point3<f64>>,
+    pose: CameraPose,
     /// Drawn only where a mean needs it.
     visibility: Option<&'a VisibilityBuffer>,
     /// Per page.
     painted: Vec<Vec<Painted>>,
 }
 
-/// Corners of a triangle among its mesh's transformed vertices.
-fn corners_of(mesh: &TriMesh, points: &[Point3<f64>], triangle: TriangleId) -> [Point3<f64>; 3] {
-    let [a, b, c] = mesh.triangles()[triangle.index()].map(|v| v as usize);
-    [points[a], points[b], points[c]]
+/// Where a camera stands.
+struct CameraPose {
+    camera_from_world: RigidTransform,
+    rotation: Rotation3<f64>,
+}
+
+impl CameraPose {
+    fn new(camera_from_world: RigidTransform) -> Self {
+        Self {
+            camera_from_world,
+            rotation: camera_from_world.rotation().to_rotation_matrix(),
+        }
+    }
+
+    fn corners_in_camera(&self, mesh: &TriMesh, triangle: TriangleId) -> [Point3<f64>; 3] {
+        let translation = self.camera_from_world.translation();
+        mesh.corners_m(triangle)
+            .map(|corner| Point3::from(self.rotation * corner.coords + translation))
+    }
 }
 
 struct Painter<'a> {
     mesh: &'a TriMesh,
+    runs: MeshRuns,
     layout: &'a AtlasLayout,
     params: &'a TransferParams,
     is_assigned: bool,
@@ -315,15 +370,20 @@ impl Painter<'_> {
             return Ok(None);
         }
         let frame = decode().map_err(|error| error.to_string())?;
-        let camera_from_world = pose.world_from_camera.inverse();
-        let points_in_camera = camera_from_world.transform_points(self.mesh.positions_m());
+        let camera_pose = CameraPose::new(pose.world_from_camera.inverse());
+        let camera_from_world = &camera_pose.camera_from_world;
         let mut visibility = None;
-        if means.any_in_view(self.mesh, &frame.color_camera, &points_in_camera) {
+        let has_to_look = self.params.mean_form == MeanForm::Seeing
+            || self.is_partly_hidden.iter().any(|&is_hidden| is_hidden);
+        let frustum = Frustum::new(&frame.color_camera, camera_from_world);
+        if has_to_look && means.any_in_view(&frustum) {
+            let part = self.runs.in_view(&frame.color_camera, camera_from_world);
             buffer
-                .update(
+                .update_part(
                     self.mesh,
+                    &part,
                     &frame.color_camera,
-                    &camera_from_world,
+                    camera_from_world,
                     &self.params.visibility,
                 )
                 .map_err(|error| error.to_string())?;
@@ -332,10 +392,10 @@ impl Painter<'_> {
         let mut painted = vec![vec![]; self.layout.num_pages as usize];
         for &triangle in triangles {
             let sampler = TriangleSampler::new(
-                corners_of(self.mesh, &points_in_camera, triangle),
+                camera_pose.corners_in_camera(self.mesh, triangle),
                 &self.layout.corners_texel[triangle.index()],
                 &frame.color_camera,
-                self.params.max_samples,
+                self.params,
             );
             let Some(sampler) = sampler else { continue };
             let hiding = visibility.filter(|_| self.is_partly_hidden[triangle.index()]);
@@ -343,8 +403,9 @@ impl Painter<'_> {
             self.paint(triangle, &sampler, &frame, hiding, page);
         }
         Ok(Some(FrameLook {
+            source: TexelSource::keyframe(pose.id),
             frame,
-            points_in_camera,
+            pose: camera_pose,
             visibility,
             painted,
         }))
@@ -380,17 +441,20 @@ impl Painter<'_> {
     }
 }
 
-/// Writes a frame's texels to the pages; returns how many there were.
-fn scatter(painted: &[Vec<Painted>], source: TexelSource, pages: &mut [TexturePage]) -> usize {
-    for (page, painted) in pages.iter_mut().zip(painted) {
-        for texel in painted {
-            let index = texel.texel as usize;
-            page.srgb[index] = texel.srgb;
-            page.source[index] = source;
-            page.confidence[index] = texel.confidence;
+/// Writes the frames' texels to the pages; returns how many there were.
+fn scatter(looks: &[FrameLook<'_>], pages: &mut [TexturePage]) -> usize {
+    pages.par_iter_mut().enumerate().for_each(|(index, page)| {
+        for look in looks {
+            for texel in &look.painted[index] {
+                let index = texel.texel as usize;
+                page.srgb[index] = texel.srgb;
+                page.source[index] = look.source;
+                page.confidence[index] = texel.confidence;
+            }
         }
-    }
-    painted.iter().map(Vec::len).sum()
+    });
+    let painted = looks.iter().flat_map(|look| &look.painted);
+    painted.map(Vec::len).sum()
 }
 
 #[cfg(test)]

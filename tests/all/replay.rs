@@ -54,6 +54,35 @@ fn runs_and_thread_counts_give_the_same_bytes() {
 }
 
 #[test]
+fn flags_are_the_parameters_that_they_stand_for() {
+    let dir = tempfile::tempdir().unwrap();
+    let bag = small_tabletop(dir.path(), &[]);
+    let run = |name: &str, args: &[&str]| {
+        let out = dir.path().join(name);
+        let hashes = replay(&bag, &out, args);
+        (hashes, report(&out)["coverage"].clone())
+    };
+    let (default, default_coverage) = run("default", &[]);
+    let (mean, mean_coverage) = run("mean", &["--init", "l2avg"]);
+    assert_eq!(mean, run("p", &["-p", "texinit.init:=l2avg"]).0);
+    assert_ne!(mean, default);
+    assert_eq!(mean_coverage["keyframe_share"], 0.0);
+    assert!(default_coverage["keyframe_share"].as_f64().unwrap() > 0.5);
+    // Single parameters change the mode's.
+    let (paper, _) = run("paper", &["--mode", "paper", "--init", "l2avg"]);
+    let spelled = [
+        "-p",
+        "texinit.mode:=paper",
+        "-p",
+        "texinit.init:=l2avg",
+        "-p",
+        "texinit.lookup:=nearest",
+    ];
+    assert_eq!(paper, run("spelled", &spelled).0);
+    assert_ne!(paper, mean);
+}
+
+#[test]
 fn a_growing_mesh_ends_as_the_whole_one() {
     let dir = tempfile::tempdir().unwrap();
     let bag = small_tabletop(dir.path(), &["--grow", "4"]);

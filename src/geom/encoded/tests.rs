@@ -232,7 +232,7 @@ fn inverse_depth_follows_the_transport() {
         (DepthEncoding::RvlInverse { a, b }, rvl.bytes()),
     ] {
         let decoded = EncodedDepth::from_compressed(encoding, bytes.clone()).unwrap();
-        for (&z, &back) in depths_m.iter().zip(decoded.decode().unwrap().depths_m()) {
+        for (&z, back) in depths_m.iter().zip(decoded.decode().unwrap().depths_m()) {
             // One quantisation step: dz = z² / A.
             assert!((z - back).abs() <= z * z / a * 1.01, "{z} {back}");
         }

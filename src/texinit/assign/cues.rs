@@ -3,12 +3,12 @@
 use crate::geom::camera::CameraError;
 use crate::keyframe::DecodedFrame;
 use crate::mesh::TriMesh;
-use crate::render::VisibilityBuffer;
+use crate::render::{MeshRuns, VisibilityBuffer};
 
 use super::validity::{
     DepthProbe, TriangleView, TriangleVisibility, VertexView, depth_difference_m, view_vertices,
 };
-use super::{AssignParams, ColorReference, FramePose};
+use super::{AssignParams, ColorCue, DepthCue, FramePose};
 
 /// The resolution cue is 0 at this many pixels per metre.
 const REFERENCE_PX_PER_M: f64 = 100.0;
@@ -58,8 +58,19 @@ impl Candidate {
 pub(crate) struct FrameCandidates {
     /// By triangle, ascending; those that the empty label beats are left out.
     pub(crate) candidates: Vec<Candidate>,
-    /// Colours at the vertices of valid triangles, for [`ColorReference::ValidFrames`].
+    /// Colours at the vertices of valid triangles, for [`ColorCue::ValidAtVertex`].
     pub(crate) vertex_colors: Vec<(u32, [u8; 3])>,
+    /// Colours of valid triangles, for [`ColorCue::ValidForTriangle`].
+    pub(crate) valid_colors: Vec<(u32, TripleColor)>,
+}
+
+impl FrameCandidates {
+    /// Bytes that it takes.
+    pub(crate) fn num_bytes(&self) -> usize {
+        size_of_val(&*self.candidates)
+            + size_of_val(&*self.vertex_colors)
+            + size_of_val(&*self.valid_colors)
+    }
 }
 
 /// Scratch memory of [`score_frame`].
@@ -72,6 +83,7 @@ pub(crate) struct FrameWorkspace {
 /// Scores every triangle that the frame may paint.
 pub(crate) fn score_frame(
     mesh: &TriMesh,
+    runs: &MeshRuns,
     pose: &FramePose,
     frame: &DecodedFrame,
     params: &AssignParams,
@@ -82,10 +94,12 @@ pub(crate) fn score_frame(
         vertices,
         visibility,
     } = workspace;
-    view_vertices(mesh, &camera_from_world, frame, params, vertices);
+    let part = runs.in_view(&frame.color_camera, &camera_from_world);
+    view_vertices(mesh, &part, &camera_from_world, frame, params, vertices);
     if let Some(visibility_params) = &params.visibility {
-        visibility.update(
+        visibility.update_part(
             mesh,
+            &part,
             &frame.color_camera,
             &camera_from_world,
             visibility_params,
@@ -93,11 +107,11 @@ pub(crate) fn score_frame(
     }
     let scorer = Scorer::new(frame, params);
     let mut out = FrameCandidates::default();
-    let mut is_valid_vertex = match params.color_reference {
-        ColorReference::SeeingFrames => vec![],
-        ColorReference::ValidFrames => vec![false; vertices.len()],
+    let mut is_valid_vertex = match params.color_cue {
+        ColorCue::ValidAtVertex => vec![false; vertices.len()],
+        ColorCue::SeeingFrames | ColorCue::ValidForTriangle => vec![],
     };
-    for (triangle, indices) in (0u32..).zip(mesh.triangles()) {
+    for (triangle, indices) in part.triangles(mesh) {
         let corners = indices.map(|v| vertices[v as usize]);
         let Some(view) = TriangleView::new(corners, &frame.color_camera) else {
             continue;
@@ -107,12 +121,17 @@ pub(crate) fn score_frame(
                 *is_valid = true;
             }
         }
+        if params.color_cue == ColorCue::ValidForTriangle {
+            let colors = TripleColor::new(corners.map(|corner| corner.srgb), false);
+            out.valid_colors.push((triangle, colors));
+        }
         let seen = match &params.visibility {
             Some(_) => view.visibility(&frame.color_camera, visibility),
             None => Some(TriangleVisibility::default()),
         };
         let Some(seen) = seen else { continue };
-        let score = scorer.score(&view, &seen);
+        let differences_m = indices.map(|v| scorer.depth_difference_at(&mut vertices[v as usize]));
+        let score = scorer.score(&view, &seen, differences_m);
         if score > params.empty_score {
             #[expect(clippy::cast_possible_truncation, reason = "rounding to f32 is meant")]
             let area_px2 = view.area_px2 as f32;
@@ -127,6 +146,7 @@ pub(crate) fn score_frame(
             });
         }
     }
+    out.candidates.shrink_to_fit();
     out.vertex_colors = (0u32..)
         .zip(&is_valid_vertex)
         .filter(|(_, is_valid)| **is_valid)
@@ -159,10 +179,15 @@ impl<'a> Scorer<'a> {
     }
 
     #[expect(clippy::cast_possible_truncation, reason = "rounding to f32 is meant")]
-    fn score(&self, view: &TriangleView, seen: &TriangleVisibility) -> f32 {
+    fn score(
+        &self,
+        view: &TriangleView,
+        seen: &TriangleVisibility,
+        differences_m: [f32; 3],
+    ) -> f32 {
         let params = self.params;
         let mut score = params.area_weight * (view.area_px2 * self.area_scale) as f32
-            + params.depth_weight * self.depth_difference_m(view);
+            + params.depth_weight * self.depth_difference_m(view, differences_m);
         if params.resolution_weight > 0.0 {
             score += params.resolution_weight * self.log2_resolution(view) as f32;
         }
@@ -179,24 +204,38 @@ impl<'a> Scorer<'a> {
         score
     }
 
-    /// C2.
-    fn depth_difference_m(&self, view: &TriangleView) -> f32 {
+    fn depth_difference_at(&self, vertex: &mut VertexView) -> f32 {
+        vertex.depth_difference_m(self.depth.as_ref(), self.params.depth_cue)
+    }
+
+    /// C2, from the differences at the corners.
+    fn depth_difference_m(&self, view: &TriangleView, at_corners_m: [f32; 3]) -> f32 {
         let params = self.params;
-        let at_centroid = depth_difference_m(self.depth.as_ref(), &view.centroid_in_camera);
-        view.corners
-            .iter()
-            .map(|corner| corner.depth_difference_m)
-            .chain([at_centroid])
-            .map(|difference_m| {
-                if difference_m.is_infinite() {
-                    params.unmeasured_depth_difference_m
-                } else if difference_m > params.max_depth_difference_m {
-                    params.rejected_depth_difference_m
-                } else {
-                    difference_m
-                }
-            })
-            .fold(0.0, f32::max)
+        let centroid = &view.centroid_in_camera;
+        let at_centroid = depth_difference_m(self.depth.as_ref(), centroid, params.depth_cue);
+        let differences = at_corners_m.into_iter().chain([at_centroid]);
+        let or_unmeasured = |difference_m: f32| {
+            if difference_m.is_infinite() {
+                params.unmeasured_depth_difference_m
+            } else {
+                difference_m
+            }
+        };
+        let is_rejection = |difference_m: f32| {
+            difference_m.is_finite() && difference_m > params.max_depth_difference_m
+        };
+        match params.depth_cue {
+            DepthCue::LargestRange => differences
+                .map(|difference_m| {
+                    if is_rejection(difference_m) {
+                        params.rejected_depth_difference_m
+                    } else {
+                        or_unmeasured(difference_m)
+                    }
+                })
+                .fold(0.0, f32::max),
+            DepthCue::DepthSum => differences.map(or_unmeasured).sum(),
+        }
     }
 
     /// Pixels per metre across the foreshortened surface, as doublings of the reference. It is

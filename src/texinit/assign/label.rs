@@ -1,11 +1,15 @@
 //! The table of candidates, and the best one per triangle.
 
+use std::ops::Range;
+
+use rayon::prelude::*;
+
 use crate::keyframe::FrameQuality;
 use crate::mesh::TriMesh;
 
 use super::cues::{Candidate, FrameCandidates, TripleColor};
 use super::pairwise::{self, PairwiseParams, Ranked};
-use super::{AssignParams, AssignReport, Assignment, ColorReference};
+use super::{AssignParams, AssignReport, Assignment, ColorCue, FailedFrame};
 
 /// How many of the best resolved views the texel density is taken from.
 const NUM_RESOLUTION_VIEWS: usize = 3;
@@ -25,6 +29,13 @@ impl ColorSum {
         self.num_bytes += num_bytes;
     }
 
+    fn subtract(&mut self, bytes: [u32; 3], num_bytes: u64) {
+        for (sum, byte) in self.sum.iter_mut().zip(bytes) {
+            *sum -= u64::from(byte);
+        }
+        self.num_bytes -= num_bytes;
+    }
+
     /// Mean in [0, 1].
     fn mean(&self) -> Option<[f32; 3]> {
         let scale = 1.0 / (self.num_bytes as f64 * 255.0);
@@ -39,16 +50,42 @@ impl ColorSum {
 struct Column {
     frame: u32,
     quality: FrameQuality,
-    candidates: Vec<Candidate>,
+    scored: FrameCandidates,
 }
 
-/// All candidates seen so far. The order in which frames were added leaves no trace.
+impl Column {
+    /// The candidates for a range of triangles.
+    fn within(&self, triangles: &Range<usize>) -> &[Candidate] {
+        let candidates = &self.scored.candidates;
+        let before = |end: usize| candidates.partition_point(|c| (c.triangle as usize) < end);
+        &candidates[before(triangles.start)..before(triangles.end)]
+    }
+}
+
+/// All candidates seen so far. The order in which frames were added, and frames that were removed
+/// again, leave no trace.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct CandidateTable {
     /// By frame, ascending.
     columns: Vec<Column>,
+    /// Over the frames that see the triangle.
     triangle_colors: Vec<ColorSum>,
+    /// Over the frames that are valid for a triangle at the vertex.
     vertex_colors: Vec<ColorSum>,
+    /// Over the frames that are valid for the triangle.
+    valid_colors: Vec<ColorSum>,
+    /// By frame, ascending.
+    failed: Vec<FailedFrame>,
+}
+
+/// Triangles that one task compares frames for.
+const TASK_SIZE: usize = 4096;
+
+/// What the frames say of a range of triangles.
+struct Comparison {
+    ranked: Ranked,
+    resolutions: Vec<[f32; NUM_RESOLUTION_VIEWS]>,
+    num_views: Vec<u32>,
 }
 
 impl CandidateTable {
@@ -57,58 +94,104 @@ impl CandidateTable {
             columns: vec![],
             triangle_colors: vec![ColorSum::default(); num_triangles],
             vertex_colors: vec![ColorSum::default(); num_vertices],
+            valid_colors: vec![ColorSum::default(); num_triangles],
+            failed: vec![],
         }
     }
 
-    /// Adds a frame's column; a frame is added once.
+    /// Adds a frame's column, in place of the one that it may have already.
     pub(crate) fn add(&mut self, frame: u32, quality: FrameQuality, scored: FrameCandidates) {
+        self.remove(frame);
+        self.sum_colors(&scored, ColorSum::add);
+        let column = Column {
+            frame,
+            quality,
+            scored,
+        };
+        self.columns.insert(self.position(frame), column);
+    }
+
+    /// Adds many columns at once, on all cores; frames ascending and new to the table.
+    pub(crate) fn add_all(&mut self, columns: Vec<(u32, FrameQuality, FrameCandidates)>) {
+        let first_new = self.columns.len();
+        let new = columns.into_iter().map(|(frame, quality, scored)| Column {
+            frame,
+            quality,
+            scored,
+        });
+        self.columns.extend(new);
+        let new = &self.columns[first_new..];
+        self.triangle_colors
+            .par_chunks_mut(TASK_SIZE)
+            .enumerate()
+            .for_each(|(task, colors)| {
+                let start = task * TASK_SIZE;
+                for column in new {
+                    for candidate in column.within(&(start..start + colors.len())) {
+                        let row = candidate.triangle as usize - start;
+                        colors[row].add(candidate.colors.sums(), 3);
+                    }
+                }
+            });
+        let (triangles, vertices) = (&mut self.valid_colors, &mut self.vertex_colors);
+        for column in new {
+            sum_valid_colors(&column.scored, triangles, vertices, ColorSum::add);
+        }
+    }
+
+    /// Notes that a frame could not be used.
+    pub(crate) fn fail(&mut self, failed: FailedFrame) {
+        self.remove(failed.frame);
+        let position = self.failed.partition_point(|f| f.frame < failed.frame);
+        self.failed.insert(position, failed);
+    }
+
+    /// Takes a frame out; whether it was there.
+    pub(crate) fn remove(&mut self, frame: u32) -> bool {
+        let num_failed = self.failed.len();
+        self.failed.retain(|failed| failed.frame != frame);
+        let position = self.position(frame);
+        let is_there = self.columns.get(position).is_some_and(|c| c.frame == frame);
+        if is_there {
+            let column = self.columns.remove(position);
+            self.sum_colors(&column.scored, ColorSum::subtract);
+        }
+        is_there || self.failed.len() < num_failed
+    }
+
+    /// Bytes that the columns take.
+    pub(crate) fn num_bytes(&self) -> usize {
+        self.columns
+            .iter()
+            .map(|column| column.scored.num_bytes())
+            .sum()
+    }
+
+    fn position(&self, frame: u32) -> usize {
+        self.columns.partition_point(|column| column.frame < frame)
+    }
+
+    fn sum_colors(&mut self, scored: &FrameCandidates, sum: fn(&mut ColorSum, [u32; 3], u64)) {
         for candidate in &scored.candidates {
-            if let Some(sum) = self.triangle_colors.get_mut(candidate.triangle as usize) {
-                sum.add(candidate.colors.sums(), 3);
+            if let Some(colors) = self.triangle_colors.get_mut(candidate.triangle as usize) {
+                sum(colors, candidate.colors.sums(), 3);
             }
         }
-        for (vertex, srgb) in scored.vertex_colors {
-            if let Some(sum) = self.vertex_colors.get_mut(vertex as usize) {
-                sum.add(srgb.map(u32::from), 1);
-            }
-        }
-        let position = self.columns.partition_point(|column| column.frame < frame);
-        self.columns.insert(
-            position,
-            Column {
-                frame,
-                quality,
-                candidates: scored.candidates,
-            },
-        );
+        let (triangles, vertices) = (&mut self.valid_colors, &mut self.vertex_colors);
+        sum_valid_colors(scored, triangles, vertices, sum);
     }
 
     /// The labels for the frames so far.
     pub(crate) fn assign(&self, mesh: &TriMesh, params: &AssignParams) -> Assignment {
-        let num_triangles = self.triangle_colors.len();
-        let reference = self.reference_colors(mesh, params.color_reference);
-        let frame_scores = frame_scores(&self.columns, params);
-        let num_ranked = params
-            .pairwise
-            .as_ref()
-            .map_or(1, PairwiseParams::num_ranked);
-        let mut ranked = Ranked::new(num_triangles, num_ranked);
-        let mut resolutions = vec![[0.0f32; NUM_RESOLUTION_VIEWS]; num_triangles];
-        let mut num_views = vec![0u32; num_triangles];
-        for (column, frame_score) in self.columns.iter().zip(frame_scores) {
-            for candidate in &column.candidates {
-                let triangle = candidate.triangle as usize;
-                num_views[triangle] += 1;
-                keep_largest(&mut resolutions[triangle], candidate.area_px2);
-                let difference = color_difference(candidate.colors, reference[triangle]);
-                let score = candidate.score + frame_score + params.color_weight * difference;
-                if score > params.empty_score {
-                    ranked.offer(triangle, column.frame, score);
-                }
-            }
-        }
-
-        let adjacency = pairwise::adjacent_pairs(mesh);
+        let (comparison, adjacency) = rayon::join(
+            || self.compare(mesh, params),
+            || pairwise::adjacent_pairs(mesh),
+        );
+        let Comparison {
+            ranked,
+            resolutions,
+            num_views,
+        } = comparison;
         let unary: Vec<Option<u32>> = ranked.best_labels();
         let label = match &params.pairwise {
             Some(pairwise) => pairwise::solve(&ranked, &adjacency, pairwise),
@@ -124,11 +207,11 @@ impl CandidateTable {
         let num_labelled = label.iter().flatten().count();
         let report = AssignReport {
             num_frames: self.columns.len(),
-            failed_frames: vec![],
+            failed_frames: self.failed.clone(),
             num_candidates: self
                 .columns
                 .iter()
-                .map(|column| column.candidates.len())
+                .map(|column| column.scored.candidates.len())
                 .sum(),
             num_labelled,
             num_unlabelled: num_views.iter().filter(|&&n| n > 0).count() - num_labelled,
@@ -147,26 +230,90 @@ impl CandidateTable {
         }
     }
 
-    fn partly_hidden(&self, label: &[Option<u32>]) -> Vec<bool> {
-        let mut is_partly_hidden = vec![false; label.len()];
-        for column in &self.columns {
-            for candidate in &column.candidates {
-                let triangle = candidate.triangle as usize;
-                if candidate.is_partly_hidden() && label[triangle] == Some(column.frame) {
-                    is_partly_hidden[triangle] = true;
+    /// Ranks the frames of every triangle.
+    fn compare(&self, mesh: &TriMesh, params: &AssignParams) -> Comparison {
+        let reference = self.reference_colors(mesh, params.color_cue);
+        let frame_scores = frame_scores(&self.columns, params);
+        let num_ranked = params
+            .pairwise
+            .as_ref()
+            .map_or(1, PairwiseParams::num_ranked);
+        let parts: Vec<Comparison> = self
+            .tasks()
+            .into_par_iter()
+            .map(|triangles| {
+                let num_triangles = triangles.len();
+                let mut part = Comparison {
+                    ranked: Ranked::new(num_triangles, num_ranked),
+                    resolutions: vec![[0.0; NUM_RESOLUTION_VIEWS]; num_triangles],
+                    num_views: vec![0; num_triangles],
+                };
+                for (column, frame_score) in self.columns.iter().zip(&frame_scores) {
+                    for candidate in column.within(&triangles) {
+                        let triangle = candidate.triangle as usize;
+                        let row = triangle - triangles.start;
+                        part.num_views[row] += 1;
+                        keep_largest(&mut part.resolutions[row], candidate.area_px2);
+                        let difference = color_difference(
+                            candidate.colors,
+                            reference[triangle],
+                            params.color_cue,
+                        );
+                        let score =
+                            candidate.score + frame_score + params.color_weight * difference;
+                        if score > params.empty_score {
+                            part.ranked.offer(row, column.frame, score);
+                        }
+                    }
                 }
-            }
+                part
+            })
+            .collect();
+        let mut all = Comparison {
+            ranked: Ranked::new(0, num_ranked),
+            resolutions: vec![],
+            num_views: vec![],
+        };
+        for part in parts {
+            all.ranked.append(part.ranked);
+            all.resolutions.extend(part.resolutions);
+            all.num_views.extend(part.num_views);
         }
-        is_partly_hidden
+        all
+    }
+
+    fn tasks(&self) -> Vec<Range<usize>> {
+        let num_triangles = self.triangle_colors.len();
+        (0..num_triangles)
+            .step_by(TASK_SIZE)
+            .map(|start| start..(start + TASK_SIZE).min(num_triangles))
+            .collect()
+    }
+
+    fn partly_hidden(&self, label: &[Option<u32>]) -> Vec<bool> {
+        let is_hidden_in = |triangle: usize, frame: u32| {
+            let column = self.columns.get(self.position(frame));
+            column.is_some_and(|column| {
+                let candidates = column.within(&(triangle..triangle + 1));
+                candidates.iter().any(Candidate::is_partly_hidden)
+            })
+        };
+        label
+            .par_iter()
+            .enumerate()
+            .map(|(triangle, frame)| frame.is_some_and(|frame| is_hidden_in(triangle, frame)))
+            .collect()
     }
 
     /// Per triangle: the colour that C3 compares with.
-    fn reference_colors(&self, mesh: &TriMesh, reference: ColorReference) -> Vec<Option<[f32; 3]>> {
-        match reference {
-            ColorReference::SeeingFrames => {
-                self.triangle_colors.iter().map(ColorSum::mean).collect()
-            }
-            ColorReference::ValidFrames => mesh
+    fn reference_colors(&self, mesh: &TriMesh, cue: ColorCue) -> Vec<Option<[f32; 3]>> {
+        let num_triangles = self.triangle_colors.len();
+        match cue {
+            ColorCue::SeeingFrames => self.triangle_colors.iter().map(ColorSum::mean).collect(),
+            ColorCue::ValidForTriangle => (0..num_triangles)
+                .map(|triangle| self.valid_colors.get(triangle).and_then(ColorSum::mean))
+                .collect(),
+            ColorCue::ValidAtVertex => mesh
                 .triangles()
                 .iter()
                 .map(|corners| {
@@ -184,18 +331,37 @@ impl CandidateTable {
     }
 }
 
+/// Adds to, or takes from, the sums over valid frames.
+fn sum_valid_colors(
+    scored: &FrameCandidates,
+    triangles: &mut [ColorSum],
+    vertices: &mut [ColorSum],
+    sum: fn(&mut ColorSum, [u32; 3], u64),
+) {
+    for &(triangle, colors) in &scored.valid_colors {
+        if let Some(all) = triangles.get_mut(triangle as usize) {
+            sum(all, colors.sums(), 3);
+        }
+    }
+    for &(vertex, srgb) in &scored.vertex_colors {
+        if let Some(all) = vertices.get_mut(vertex as usize) {
+            sum(all, srgb.map(u32::from), 1);
+        }
+    }
+}
+
 /// C3.
-fn color_difference(colors: TripleColor, reference: Option<[f32; 3]>) -> f32 {
+fn color_difference(colors: TripleColor, reference: Option<[f32; 3]>, cue: ColorCue) -> f32 {
     let Some(reference) = reference else {
         return 0.0;
     };
     let sums = colors.sums();
-    let squares: [f32; 3] = std::array::from_fn(|c| {
-        // Sums of three bytes are exact in f32.
-        let difference = sums[c] as f32 / 765.0 - reference[c];
-        difference * difference
-    });
-    (squares[0] + squares[1] + squares[2]).sqrt()
+    // Sums of three bytes are exact in f32.
+    let [r, g, b]: [f32; 3] = std::array::from_fn(|c| sums[c] as f32 / 765.0 - reference[c]);
+    match cue {
+        ColorCue::SeeingFrames | ColorCue::ValidAtVertex => (r * r + g * g + b * b).sqrt(),
+        ColorCue::ValidForTriangle => r.abs() + g.abs() + b.abs(),
+    }
 }
 
 fn mean_byte(sum: &ColorSum) -> [u8; 3] {

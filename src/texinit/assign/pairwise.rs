@@ -4,7 +4,11 @@
 //! triangle choosing among its best few frames. Solver: max-product on the LP dual by block
 //! coordinate descent, one block per edge (MPLP; Globerson and Jaakkola, "Fixing max-product",
 //! NIPS 2007), edges in a fixed order; the dual value never rises. Labels are decoded from the
-//! beliefs and then improved one triangle at a time (ICM) until no single change gains.
+//! beliefs and then improved one triangle at a time (ICM) until no single change gains. The same
+//! improvement starts from each triangle's own best as well, and the better of the two ends counts:
+//! the labels are never worth less than those of triangles that decide alone.
+
+use rayon::prelude::*;
 
 use crate::mesh::TriMesh;
 
@@ -83,6 +87,12 @@ impl Ranked {
         }
     }
 
+    /// Adds the triangles of another ranking of the same width after its own.
+    pub(crate) fn append(&mut self, mut other: Self) {
+        self.choices.append(&mut other.choices);
+        self.num_choices.append(&mut other.num_choices);
+    }
+
     pub(crate) fn best_labels(&self) -> Vec<Option<u32>> {
         (0..self.num_choices.len())
             .map(|triangle| self.of(triangle).first().map(|choice| choice.frame))
@@ -127,8 +137,20 @@ pub(crate) fn solve(
     for _ in 0..params.num_sweeps.min(100) {
         messages.sweep();
     }
-    let mut chosen = messages.decode();
-    improve(ranked, adjacency, params.weight, &mut chosen);
+    // The decoding may lose to deciding alone where the relaxation is not tight; what is improved
+    // from there cannot.
+    let alone = vec![0; ranked.num_choices.len()];
+    let mut candidates = [messages.decode(), alone];
+    candidates
+        .par_iter_mut()
+        .for_each(|chosen| improve(ranked, adjacency, params.weight, chosen));
+    let [decoded, alone] = candidates;
+    let value = |chosen: &[usize]| total_score(ranked, adjacency, params.weight, chosen);
+    let chosen = if value(&alone) > value(&decoded) {
+        alone
+    } else {
+        decoded
+    };
     chosen
         .iter()
         .enumerate()
@@ -249,6 +271,23 @@ impl<'a> Messages<'a> {
     }
 }
 
+/// What a choice of slots earns.
+fn total_score(ranked: &Ranked, adjacency: &[[u32; 2]], weight: f32, chosen: &[usize]) -> f64 {
+    let choice = |triangle: usize| ranked.of(triangle).get(chosen[triangle]);
+    let unary: f64 = (0..chosen.len())
+        .filter_map(choice)
+        .map(|choice| f64::from(choice.score))
+        .sum();
+    let num_equal = adjacency
+        .iter()
+        .filter(|pair| {
+            let [a, b] = pair.map(|triangle| choice(triangle as usize));
+            a.zip(b).is_some_and(|(a, b)| a.frame == b.frame)
+        })
+        .count();
+    unary + f64::from(weight) * num_equal as f64
+}
+
 /// Changes single triangles while that gains, at most ten times over all.
 fn improve(ranked: &Ranked, adjacency: &[[u32; 2]], weight: f32, chosen: &mut [usize]) {
     let neighbours = Neighbours::new(chosen.len(), adjacency);
@@ -268,7 +307,8 @@ fn improve(ranked: &Ranked, adjacency: &[[u32; 2]], weight: f32, chosen: &mut [u
                             .is_some_and(|theirs| theirs.frame == choice.frame)
                     })
                     .count();
-                choice.score + weight * num_equal as f32
+                // In f64, where the sum is exact: what counts as a gain is one.
+                f64::from(choice.score) + f64::from(weight) * num_equal as f64
             };
             let Some(mut best) = choices.get(chosen[triangle]).map(|_| chosen[triangle]) else {
                 continue;
@@ -436,8 +476,9 @@ mod tests {
             let found = value(&scores, &adjacency, weight, &solve(&ranked, &adjacency, &params));
             let alone = value(&scores, &adjacency, weight, &ranked.best_labels());
             prop_assert!(found <= best + 1e-5);
+            prop_assert!(found >= alone - 1e-5, "{found} is worse than {alone} alone");
             // Trees are solved; loops of this size come close.
-            prop_assert!(found >= alone - 1e-5 || found >= best - 0.25 * f64::from(weight));
+            prop_assert!(found >= best - 1.5 * f64::from(weight));
         }
     }
 

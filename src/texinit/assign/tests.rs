@@ -3,6 +3,9 @@
     reason = "the numbers of a test are small"
 )]
 
+mod incremental;
+mod plain_cues;
+
 use super::*;
 use crate::geom::PinholeCamera;
 use crate::keyframe::DecodedDepth;
@@ -190,6 +193,7 @@ fn a_frame_of_another_colour_loses_to_its_peers() {
 fn adding_frames_one_by_one_in_any_order_equals_the_batch() {
     let scene = wall_with_board(true);
     let mesh = scene.mesh();
+    let runs = MeshRuns::new(&mesh);
     for params in [AssignParams::default(), AssignParams::paper()] {
         let batch = assign_scene(&scene, &params);
         for order in [[0, 1, 2, 3], [3, 1, 0, 2], [2, 3, 1, 0]] {
@@ -197,9 +201,9 @@ fn adding_frames_one_by_one_in_any_order_equals_the_batch() {
             let mut workspace = cues::FrameWorkspace::default();
             for frame in order {
                 let pose = &scene.poses[frame];
+                let images = &scene.frames[frame];
                 let scored =
-                    cues::score_frame(&mesh, pose, &scene.frames[frame], &params, &mut workspace)
-                        .unwrap();
+                    cues::score_frame(&mesh, &runs, pose, images, &params, &mut workspace).unwrap();
                 table.add(frame as u32, pose.quality, scored);
                 // Looking at the labels in between changes nothing.
                 assert_eq!(

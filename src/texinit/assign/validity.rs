@@ -6,9 +6,9 @@ use crate::geom::{ColorImage, PinholeCamera, RigidTransform};
 use crate::keyframe::{DecodedDepth, DecodedFrame};
 use crate::mesh::TriMesh;
 use crate::render::visibility::depth_slope_m;
-use crate::render::{SurfacePoint, VisibilityBuffer};
+use crate::render::{MeshPart, SurfacePoint, VisibilityBuffer};
 
-use super::AssignParams;
+use super::{AssignParams, DepthCue};
 
 /// Triangles that cover more pixels of the visibility buffer than this are probed inside too.
 const PROBE_AREA_PX2: f64 = 64.0;
@@ -27,13 +27,28 @@ pub(crate) struct VertexView {
     pub(crate) is_inside: bool,
     /// Colour of the nearest pixel.
     pub(crate) srgb: [u8; 3],
-    /// |measured − predicted| distance, metres; infinite where nothing was measured.
-    pub(crate) depth_difference_m: f32,
+    /// |measured − predicted| distance, metres; infinite where nothing was measured; `None` until
+    /// a triangle at the vertex needs it.
+    pub(crate) depth_difference_m: Option<f32>,
 }
 
-/// Looks at every vertex of the mesh through the frame.
+impl VertexView {
+    /// |measured − predicted| distance, looked up once.
+    pub(crate) fn depth_difference_m(
+        &mut self,
+        depth: Option<&DepthProbe<'_>>,
+        cue: DepthCue,
+    ) -> f32 {
+        *self
+            .depth_difference_m
+            .get_or_insert_with(|| depth_difference_m(depth, &self.point_in_camera, cue))
+    }
+}
+
+/// Looks at the vertices of a part of the mesh through the frame.
 pub(crate) fn view_vertices(
     mesh: &TriMesh,
+    part: &MeshPart,
     camera_from_world: &RigidTransform,
     frame: &DecodedFrame,
     params: &AssignParams,
@@ -43,9 +58,7 @@ pub(crate) fn view_vertices(
     let rotation = camera_from_world.rotation().to_rotation_matrix();
     let translation = camera_from_world.translation();
     let border_px = f64::from(params.border_margin) * f64::from(camera.width());
-    let depth = frame.depth.as_ref().map(DepthProbe::new);
-    out.clear();
-    out.extend(mesh.positions_m().iter().map(|position| {
+    part.map_vertices(mesh, out, |position| {
         let point_in_camera = Point3::from(rotation * position.coords + translation);
         let mut view = VertexView {
             point_in_camera,
@@ -60,9 +73,8 @@ pub(crate) fn view_vertices(
         view.is_inside = true;
         view.position_px = position_px;
         view.srgb = nearest_pixel(&frame.color, position_px);
-        view.depth_difference_m = depth_difference_m(depth.as_ref(), &point_in_camera);
         view
-    }));
+    });
 }
 
 fn is_inside(camera: &PinholeCamera, [x_px, y_px]: [f64; 2], border_px: f64) -> bool {
@@ -94,12 +106,13 @@ impl<'a> DepthProbe<'a> {
     }
 }
 
-/// |measured − predicted| distance from the depth camera in metres: 0 without a depth image,
-/// infinite where the depth image measured nothing or does not reach.
+/// |measured − predicted| distance from the depth camera, or depth along its axis, in metres: 0
+/// without a depth image, infinite where the depth image measured nothing or does not reach.
 #[expect(clippy::cast_possible_truncation, reason = "rounding to f32 is meant")]
 pub(crate) fn depth_difference_m(
     depth: Option<&DepthProbe<'_>>,
     point_in_color: &Point3<f64>,
+    cue: DepthCue,
 ) -> f32 {
     let Some(DepthProbe {
         depth,
@@ -119,9 +132,12 @@ pub(crate) fn depth_difference_m(
         .and_then(|px| depth.image.nearest(px))
         .map(f64::from)
         .filter(|&measured_m| measured_m >= 1e-3);
-    measured_m.map_or(f32::INFINITY, |measured_m| {
-        let measured_range_m = Vector3::new(point.x, point.y, measured_m).norm();
-        (point.coords.norm() - measured_range_m).abs() as f32
+    measured_m.map_or(f32::INFINITY, |measured_m| match cue {
+        DepthCue::LargestRange => {
+            let measured_range_m = Vector3::new(point.x, point.y, measured_m).norm();
+            (point.coords.norm() - measured_range_m).abs() as f32
+        }
+        DepthCue::DepthSum => (point.z - measured_m).abs() as f32,
     })
 }
 

@@ -1,4 +1,5 @@
-//! Texels that show a mean over frames: exact sums in linear light.
+//! Texels that show a mean over frames: exact sums, in linear light or of sRGB values
+//! ([`MeanForm`]).
 
 use nalgebra::Point3;
 use rayon::prelude::*;
@@ -8,15 +9,17 @@ use crate::atlas::{AtlasLayout, TexelSource, TexturePage};
 use crate::geom::PinholeCamera;
 use crate::geom::color::srgb_from_linear;
 use crate::mesh::{TriMesh, TriangleId};
+use crate::render::{BoundingBox, Frustum};
+use crate::texinit::assign::DepthCue;
 use crate::texinit::assign::validity::{DepthProbe, depth_difference_m};
 
 use super::sampler::TriangleSampler;
-use super::{FrameLook, MEAN_CONFIDENCE, TransferParams, corners_of};
+use super::{FrameLook, MEAN_CONFIDENCE, MeanForm, TransferParams};
 
 /// Triangles that one task works on.
 const TASK_SIZE: usize = 256;
 
-/// Linear light is summed in steps of 1/65535.
+/// Values in [0, 1] are summed in steps of 1/65535.
 const STEPS: f32 = 65535.0;
 
 /// Views of a point away from depth edges weigh this much more than views beside one.
@@ -27,43 +30,65 @@ const MAX_WEIGHT: u32 = 65_537;
 
 /// Sum over frames.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-struct LinearSum {
+struct TexelSum {
     sum: [u32; 3],
     weight: u32,
 }
 
-impl LinearSum {
+impl TexelSum {
     #[expect(
         clippy::cast_possible_truncation,
         clippy::cast_sign_loss,
-        reason = "linear light is in [0, 1]; float to int casts saturate"
+        reason = "values are in [0, 1]; float to int casts saturate"
     )]
-    fn add(&mut self, linear: [f32; 3], weight: u32) {
+    fn add(&mut self, values: [f32; 3], weight: u32) {
         if self.weight + weight <= MAX_WEIGHT {
             self.weight += weight;
-            for (sum, value) in self.sum.iter_mut().zip(linear) {
+            for (sum, value) in self.sum.iter_mut().zip(values) {
                 *sum += weight * (value.clamp(0.0, 1.0) * STEPS + 0.5) as u32;
             }
         }
     }
 
-    fn srgb(&self) -> Option<[u8; 3]> {
-        #[expect(clippy::cast_possible_truncation, reason = "rounding to f32 is meant")]
-        let mean = |sum: u32| (f64::from(sum) / f64::from(self.weight) / f64::from(STEPS)) as f32;
-        (self.weight > 0).then(|| self.sum.map(|sum| srgb_from_linear(mean(sum))))
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "rounding to f32 is meant; a mean of bytes is a byte"
+    )]
+    fn srgb(&self, form: MeanForm) -> Option<[u8; 3]> {
+        let mean = |sum: u32| f64::from(sum) / f64::from(self.weight) / f64::from(STEPS);
+        let byte = |sum: u32| match form {
+            MeanForm::Seeing => srgb_from_linear(mean(sum) as f32),
+            MeanForm::Projecting => (mean(sum) * 255.0).round() as u8,
+        };
+        (self.weight > 0).then(|| self.sum.map(byte))
     }
 }
+
+/// Triangles, the box around them, their first sums and the sums.
+type MeanTask<'a> = (
+    &'a [TriangleId],
+    &'a BoundingBox,
+    &'a [usize],
+    &'a mut [TexelSum],
+);
 
 /// The sums of all texels of some triangles.
 pub(super) struct MeanTexels {
     triangles: Vec<TriangleId>,
+    /// Per task's triangles: the box around them.
+    bounds: Vec<BoundingBox>,
     /// Per triangle: its first sum; and the number of sums.
     first: Vec<usize>,
-    sums: Vec<LinearSum>,
+    sums: Vec<TexelSum>,
 }
 
 impl MeanTexels {
-    pub(super) fn new(layout: &AtlasLayout, triangles: impl Iterator<Item = TriangleId>) -> Self {
+    pub(super) fn new(
+        mesh: &TriMesh,
+        layout: &AtlasLayout,
+        triangles: impl Iterator<Item = TriangleId>,
+    ) -> Self {
         let triangles: Vec<TriangleId> = triangles.collect();
         let mut first = vec![0];
         let mut num_texels = 0;
@@ -72,10 +97,15 @@ impl MeanTexels {
             for_each_texel_within(corners, layout.page_size_texel, |_, _, _| num_texels += 1);
             first.push(num_texels);
         }
+        let bounds = triangles
+            .chunks(TASK_SIZE)
+            .map(|chunk| BoundingBox::of(mesh, chunk.iter().copied()))
+            .collect();
         Self {
             triangles,
+            bounds,
             first,
-            sums: vec![LinearSum::default(); num_texels],
+            sums: vec![TexelSum::default(); num_texels],
         }
     }
 
@@ -84,16 +114,8 @@ impl MeanTexels {
     }
 
     /// Whether a camera may see one of the triangles, were nothing in its way.
-    pub(super) fn any_in_view(
-        &self,
-        mesh: &TriMesh,
-        camera: &PinholeCamera,
-        points_in_camera: &[Point3<f64>],
-    ) -> bool {
-        self.triangles.iter().any(|&triangle| {
-            let corners = corners_of(mesh, points_in_camera, triangle);
-            may_see(camera, &corners)
-        })
+    pub(super) fn any_in_view(&self, frustum: &Frustum) -> bool {
+        self.bounds.iter().any(|bounds| frustum.may_see(bounds))
     }
 
     /// Adds what a group of frames sees, frame by frame.
@@ -104,28 +126,40 @@ impl MeanTexels {
         looks: &[FrameLook<'_>],
         params: &TransferParams,
     ) {
+        let frustums: Vec<Frustum> = looks
+            .iter()
+            .map(|look| Frustum::new(&look.frame.color_camera, &look.pose.camera_from_world))
+            .collect();
         let mut tasks = vec![];
         let mut rest = self.sums.as_mut_slice();
-        for (task, triangles) in self.triangles.chunks(TASK_SIZE).enumerate() {
+        let chunks = self.triangles.chunks(TASK_SIZE).zip(&self.bounds);
+        for (task, (triangles, bounds)) in chunks.enumerate() {
             let start = task * TASK_SIZE;
             let firsts = &self.first[start..=start + triangles.len()];
             let (sums, tail) = rest.split_at_mut(firsts[triangles.len()] - firsts[0]);
             rest = tail;
-            tasks.push((triangles, firsts, sums));
+            tasks.push((triangles, bounds, firsts, sums));
         }
-        tasks.into_par_iter().for_each(|(triangles, firsts, sums)| {
-            for look in looks {
+        let add_chunk = |(triangles, bounds, firsts, sums): MeanTask<'_>| {
+            let looks = looks.iter().zip(&frustums);
+            for (look, _) in looks.filter(|(_, frustum)| frustum.may_see(bounds)) {
                 for (&triangle, range) in triangles.iter().zip(firsts.windows(2)) {
                     let range = range[0] - firsts[0]..range[1] - firsts[0];
                     add_triangle(mesh, layout, look, params, triangle, &mut sums[range]);
                 }
             }
-        });
+        };
+        tasks.into_par_iter().for_each(add_chunk);
     }
 
     /// Writes the means to the texels that no frame painted; returns how many got a colour and
     /// how many did not.
-    pub(super) fn write(&self, layout: &AtlasLayout, pages: &mut [TexturePage]) -> (usize, usize) {
+    pub(super) fn write(
+        &self,
+        layout: &AtlasLayout,
+        form: MeanForm,
+        pages: &mut [TexturePage],
+    ) -> (usize, usize) {
         let (mut num_mean, mut num_unseen) = (0, 0);
         for (&triangle, &first) in self.triangles.iter().zip(&self.first) {
             let page = &mut pages[layout.page_of(triangle) as usize];
@@ -138,7 +172,7 @@ impl MeanTexels {
                 if page.source[index] != TexelSource::NONE {
                     return;
                 }
-                if let Some(srgb) = sum.and_then(LinearSum::srgb) {
+                if let Some(srgb) = sum.and_then(|sum| sum.srgb(form)) {
                     page.srgb[index] = srgb;
                     page.source[index] = TexelSource::MEAN;
                     page.confidence[index] = MEAN_CONFIDENCE;
@@ -174,20 +208,24 @@ fn add_triangle(
     look: &FrameLook<'_>,
     params: &TransferParams,
     triangle: TriangleId,
-    sums: &mut [LinearSum],
+    sums: &mut [TexelSum],
 ) {
-    let Some(visibility) = look.visibility else {
-        return;
-    };
     let camera = &look.frame.color_camera;
-    let corners = corners_of(mesh, &look.points_in_camera, triangle);
+    let corners = look.pose.corners_in_camera(mesh, triangle);
     if !may_see(camera, &corners) {
         return;
     }
     let corners_texel = &layout.corners_texel[triangle.index()];
-    let Some(sampler) = TriangleSampler::new(corners, corners_texel, camera, params.max_samples)
-    else {
+    let Some(sampler) = TriangleSampler::new(corners, corners_texel, camera, params) else {
         return;
+    };
+    let visibility = match (params.mean_form, look.visibility) {
+        (MeanForm::Projecting, _) => {
+            add_projecting(layout, look, &sampler, corners_texel, sums);
+            return;
+        }
+        (MeanForm::Seeing, Some(visibility)) => visibility,
+        (MeanForm::Seeing, None) => return,
     };
     let nearest_m = corners.iter().map(|p| p.z).fold(f64::INFINITY, f64::min);
     if let [Some(a), Some(b), Some(c)] = corners.map(|p| camera.project(&p))
@@ -203,17 +241,37 @@ fn add_triangle(
         let Some(point) = texel.point_inside() else {
             return;
         };
+        if !visibility.is_visible(&point) {
+            return;
+        }
         let position = camera.unproject(point.position_px, point.depth_m);
-        let difference_m = depth_difference_m(depth.as_ref(), &position);
+        let difference_m = depth_difference_m(depth.as_ref(), &position, DepthCue::LargestRange);
         // Where nothing was measured the mesh decides.
         let is_measured_elsewhere =
             difference_m.is_finite() && difference_m > params.max_depth_difference_m;
-        if !is_measured_elsewhere
-            && visibility.is_visible(&point)
-            && let Some(linear) = texel.linear_color(&look.frame.color)
-        {
+        if !is_measured_elsewhere && let Some(linear) = texel.linear_color(&look.frame.color) {
             let is_clear = !visibility.is_near_depth_edge(&point);
             sum.add(linear, if is_clear { CLEAR_WEIGHT } else { 1 });
+        }
+    });
+}
+
+/// Adds every texel that lies in the image, as it is.
+fn add_projecting(
+    layout: &AtlasLayout,
+    look: &FrameLook<'_>,
+    sampler: &TriangleSampler,
+    corners_texel: &[[f32; 2]; 3],
+    sums: &mut [TexelSum],
+) {
+    let mut sums = sums.iter_mut();
+    for_each_texel_within(corners_texel, layout.page_size_texel, |_, _, weights| {
+        let Some(sum) = sums.next() else { return };
+        let texel = sampler.at(weights);
+        if texel.point_inside().is_some()
+            && let Some(srgb) = texel.color(&look.frame.color)
+        {
+            sum.add(srgb.map(|byte| f32::from(byte) / 255.0), 1);
         }
     });
 }

@@ -2,12 +2,14 @@
 
 use std::sync::LazyLock;
 
-use nalgebra::{Point3, Vector3};
+use nalgebra::{Point3, Vector2, Vector3};
 
 use crate::geom::color::{linear_table, srgb_from_linear};
 use crate::geom::{ColorImage, PinholeCamera};
 use crate::render::SurfacePoint;
 use crate::render::visibility::depth_slope_m;
+
+use super::{Lookup, TransferParams};
 
 /// One triangle seen by one camera.
 pub(super) struct TriangleSampler {
@@ -15,6 +17,8 @@ pub(super) struct TriangleSampler {
     corners: [Vector3<f64>; 3],
     /// Change of the same per texel to the right and per texel down.
     per_texel: [Vector3<f64>; 2],
+    /// Pixels of the corners, where the lookup is affine.
+    corners_px: Option<[Vector2<f64>; 3]>,
     num_samples: [u32; 2],
     pixels_per_texel: f64,
     sin_elevation: f64,
@@ -23,7 +27,8 @@ pub(super) struct TriangleSampler {
 }
 
 impl TriangleSampler {
-    /// `None` for a triangle without area on its page, or wholly behind the camera.
+    /// `None` for a triangle without area on its page, or wholly behind the camera; where the lookup
+    /// is affine, partly behind it.
     #[expect(
         clippy::cast_possible_truncation,
         clippy::cast_sign_loss,
@@ -33,7 +38,7 @@ impl TriangleSampler {
         corners_in_camera: [Point3<f64>; 3],
         corners_texel: &[[f32; 2]; 3],
         camera: &PinholeCamera,
-        max_samples: u32,
+        params: &TransferParams,
     ) -> Option<Self> {
         let [fx, fy, cx, cy] = camera.intrinsics_px();
         let corners =
@@ -53,12 +58,23 @@ impl TriangleSampler {
             return None;
         }
 
+        let corners_px = match params.lookup {
+            Lookup::Footprint => None,
+            Lookup::NearestAffine if corners.iter().all(|h| h.z > 0.0) => {
+                Some(corners.map(|h| h.xy() / h.z))
+            }
+            Lookup::NearestAffine => return None,
+        };
+
         let center = (corners[0] + corners[1] + corners[2]) / 3.0;
         let pixels = per_texel.map(|step| {
             // Derivative of (h.x / h.z, h.y / h.z).
             [0, 1].map(|axis| (step[axis] - center[axis] / center.z * step.z) / center.z)
         });
-        let reach = max_samples.clamp(1, 16);
+        let reach = match params.lookup {
+            Lookup::Footprint => params.max_samples.clamp(1, 16),
+            Lookup::NearestAffine => 1,
+        };
         let num_samples = pixels.map(|[x, y]| {
             let footprint_px = (x * x + y * y).sqrt();
             // A quarter of a pixel more than one sample's reach is not worth a second sample.
@@ -77,6 +93,7 @@ impl TriangleSampler {
         Some(Self {
             corners,
             per_texel,
+            corners_px,
             num_samples,
             pixels_per_texel: area_px2.sqrt(),
             sin_elevation: if sin_elevation.is_finite() {
@@ -109,9 +126,14 @@ impl TriangleSampler {
     /// The texel with these barycentric weights.
     pub(super) fn at(&self, weights: [f32; 3]) -> TexelSampler<'_> {
         let [a, b, c] = weights.map(f64::from);
+        let mut center = self.corners[0] * a + self.corners[1] * b + self.corners[2] * c;
+        if let Some([p, q, r]) = self.corners_px {
+            let pixel = p * a + q * b + r * c;
+            center = Vector3::new(pixel.x * center.z, pixel.y * center.z, center.z);
+        }
         TexelSampler {
             triangle: self,
-            center: self.corners[0] * a + self.corners[1] * b + self.corners[2] * c,
+            center,
         }
     }
 }
@@ -144,6 +166,9 @@ impl TexelSampler<'_> {
 
     /// sRGB of the texel; `None` behind the camera. Lookups are clamped to the image.
     pub(super) fn color(&self, image: &ColorImage) -> Option<[u8; 3]> {
+        if self.triangle.corners_px.is_some() {
+            return (self.center.z > 0.0).then(|| nearest_srgb(image, &self.center));
+        }
         if self.triangle.num_samples == [1, 1] {
             return (self.center.z > 0.0).then(|| sample_srgb(image, &self.center));
         }
@@ -178,6 +203,15 @@ impl TexelSampler<'_> {
         }
         (num > 0).then(|| sum.map(|sum| sum / f32::from(num)))
     }
+}
+
+#[expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "float to int casts saturate, and the lookup is clamped"
+)]
+fn nearest_srgb(image: &ColorImage, h: &Vector3<f64>) -> [u8; 3] {
+    image.pixel_clamped((h.x / h.z + 0.5) as u32, (h.y / h.z + 0.5) as u32)
 }
 
 /// Bilinear sample in linear light; averages of sRGB samples would be too dark at edges.

@@ -3,6 +3,9 @@
     reason = "the numbers of a test are small"
 )]
 
+mod forms;
+mod maps;
+
 use super::*;
 use crate::geom::color::{linear_from_srgb, srgb_from_linear};
 use crate::render::{RenderParams, render_textured};
@@ -377,19 +380,21 @@ fn a_wall_that_reaches_behind_the_camera_is_painted_by_the_mean() {
 fn thread_count_leaves_no_trace() {
     let scene = slanted_views(vec![WALL, BOARD], true);
     let layout = scene.layout(50.0);
-    let run = |threads: usize, mode: TransferMode| {
+    let run = |threads: usize, params: &TransferParams| {
         let pool = rayon::ThreadPoolBuilder::new()
             .num_threads(threads)
             .build()
             .unwrap();
-        let params = TransferParams {
-            mode,
-            ..TransferParams::default()
-        };
-        pool.install(|| paint(&scene, &layout, &AssignParams::default(), &params))
+        pool.install(|| paint(&scene, &layout, &AssignParams::default(), params))
     };
-    for mode in [TransferMode::Assigned, TransferMode::L2Avg] {
-        assert_eq!(run(1, mode), run(4, mode));
+    for form in [TransferParams::default(), TransferParams::paper()] {
+        for mode in [TransferMode::Assigned, TransferMode::L2Avg] {
+            let params = TransferParams {
+                mode,
+                ..form.clone()
+            };
+            assert_eq!(run(1, &params), run(4, &params));
+        }
     }
 }
 
@@ -474,10 +479,11 @@ proptest! {
             ..Assignment::default()
         };
         let decode = |frame: usize| Ok(views.frames[frame].clone());
-        let result = transfer_poses(
-            &mesh, &layout, &assignment, &views.poses, &decode,
-            &TransferParams::default(), &|_| (),
-        );
-        prop_assert!(result.is_ok());
+        for params in [TransferParams::default(), TransferParams::paper()] {
+            let result = transfer_poses(
+                &mesh, &layout, &assignment, &views.poses, &decode, &params, &|_| (),
+            );
+            prop_assert!(result.is_ok());
+        }
     }
 }

@@ -1,0 +1,333 @@
+//! Which part of a mesh a camera may see.
+//!
+//! A scanned mesh lists neighbours near one another, so that runs of consecutive triangles are
+//! small in space. [`MeshRuns`] keeps a bounding box for each run; a camera then looks at the runs
+//! that reach into its view, and at the vertices that these use. Order and indices stay the
+//! mesh's. A mesh in random order is looked at whole, at hardly any cost.
+
+use std::ops::Range;
+
+use nalgebra::{Point3, Vector3};
+
+use crate::geom::{PinholeCamera, RigidTransform};
+use crate::mesh::{TriMesh, TriangleId};
+
+/// Triangles that share a box.
+const RUN_SIZE: usize = 64;
+/// Vertices that are wanted together.
+const BLOCK_SIZE: u32 = 64;
+/// The view is taken to reach this far past the image, pixels.
+const MARGIN_PX: f64 = 2.0;
+
+/// An axis-aligned box.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BoundingBox {
+    center: Point3<f64>,
+    half_size: Vector3<f64>,
+}
+
+impl BoundingBox {
+    /// The box around some triangles of a mesh.
+    pub fn of(mesh: &TriMesh, triangles: impl IntoIterator<Item = TriangleId>) -> Self {
+        let mut min = Point3::from([f64::INFINITY; 3]);
+        let mut max = Point3::from([f64::NEG_INFINITY; 3]);
+        for corner in triangles.into_iter().flat_map(|t| mesh.corners_m(t)) {
+            min = min.inf(&corner);
+            max = max.sup(&corner);
+        }
+        Self {
+            center: nalgebra::center(&min, &max),
+            half_size: (max - min) / 2.0,
+        }
+    }
+}
+
+/// What a camera may see, as half-spaces of the world.
+#[derive(Clone, Debug)]
+pub struct Frustum {
+    /// Inside: normal · point + offset ≥ 0. The first is depth along the camera's axis.
+    half_spaces: [(Vector3<f64>, f64); 5],
+}
+
+impl Frustum {
+    /// The view of a camera, somewhat widened: what rounding may put into the image is inside.
+    pub fn new(camera: &PinholeCamera, camera_from_world: &RigidTransform) -> Self {
+        let [fx, fy, cx, cy] = camera.intrinsics_px();
+        let right = f64::from(camera.width() - 1) + MARGIN_PX - cx;
+        let bottom = f64::from(camera.height() - 1) + MARGIN_PX - cy;
+        let world_from_camera = camera_from_world.inverse();
+        let half_spaces = [
+            Vector3::z(),
+            Vector3::new(fx, 0.0, cx + MARGIN_PX),
+            Vector3::new(-fx, 0.0, right),
+            Vector3::new(0.0, fy, cy + MARGIN_PX),
+            Vector3::new(0.0, -fy, bottom),
+        ]
+        .map(|normal| {
+            let in_world = world_from_camera.transform_vector(&normal);
+            (in_world, normal.dot(camera_from_world.translation()))
+        });
+        Self { half_spaces }
+    }
+
+    /// Least depth of the box along the camera's axis, metres; negative behind the camera.
+    fn nearest_m(&self, bounds: &BoundingBox) -> f64 {
+        let (axis, offset) = &self.half_spaces[0];
+        axis.dot(&bounds.center.coords) - axis.abs().dot(&bounds.half_size) + offset
+    }
+
+    /// False only where no point of the box is in view.
+    pub fn may_see(&self, bounds: &BoundingBox) -> bool {
+        let is_outside = self.half_spaces.iter().any(|(normal, offset)| {
+            let reach = normal.abs().dot(&bounds.half_size);
+            let center = normal.dot(&bounds.center.coords);
+            // Far past what rounding does to the sum.
+            let slack = 1e-9 * (reach + center.abs() + offset.abs());
+            center + reach + offset < -slack
+        });
+        !is_outside
+    }
+}
+
+/// A part of a mesh: ascending runs of triangles, and of vertices, all of theirs among them.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct MeshPart {
+    triangles: Vec<Range<u32>>,
+    /// The same triangles, roughly from the nearest to the farthest.
+    front_to_back: Vec<Range<u32>>,
+    vertices: Vec<Range<usize>>,
+}
+
+impl MeshPart {
+    /// All of a mesh.
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::single_range_in_vec_init,
+        reason = "a mesh has at most 2³² triangles; one run is meant"
+    )]
+    pub fn whole(mesh: &TriMesh) -> Self {
+        let all = 0..mesh.num_triangles() as u32;
+        Self {
+            triangles: vec![all.clone()],
+            front_to_back: vec![all],
+            vertices: vec![0..mesh.num_vertices()],
+        }
+    }
+
+    /// The triangles, ascending, with their vertices.
+    pub fn triangles<'a>(
+        &'a self,
+        mesh: &'a TriMesh,
+    ) -> impl Iterator<Item = (u32, &'a [u32; 3])> + 'a {
+        with_corners(&self.triangles, mesh)
+    }
+
+    /// The triangles with their vertices, roughly from the nearest to the farthest.
+    pub fn front_to_back<'a>(
+        &'a self,
+        mesh: &'a TriMesh,
+    ) -> impl Iterator<Item = (u32, &'a [u32; 3])> + 'a {
+        with_corners(&self.front_to_back, mesh)
+    }
+
+    /// Sets what `values` has for the part's vertices; it gets the mesh's length, and keeps what
+    /// it had, or the default, for the others.
+    pub fn map_vertices<T: Clone + Default>(
+        &self,
+        mesh: &TriMesh,
+        values: &mut Vec<T>,
+        of: impl Fn(&Point3<f64>) -> T,
+    ) {
+        values.resize(mesh.num_vertices(), T::default());
+        for run in &self.vertices {
+            let positions = &mesh.positions_m()[run.clone()];
+            for (value, position) in values[run.clone()].iter_mut().zip(positions) {
+                *value = of(position);
+            }
+        }
+    }
+}
+
+fn with_corners<'a>(
+    runs: &'a [Range<u32>],
+    mesh: &'a TriMesh,
+) -> impl Iterator<Item = (u32, &'a [u32; 3])> + 'a {
+    runs.iter().flat_map(|run| {
+        let corners = &mesh.triangles()[run.start as usize..run.end as usize];
+        (run.start..run.end).zip(corners)
+    })
+}
+
+/// The runs of a mesh with their boxes.
+#[derive(Clone, Debug)]
+pub struct MeshRuns {
+    num_triangles: usize,
+    num_vertices: usize,
+    bounds: Vec<BoundingBox>,
+    /// Per run: its first block of vertices in `blocks`.
+    first_block: Vec<usize>,
+    blocks: Vec<u32>,
+}
+
+impl MeshRuns {
+    /// The runs of `mesh`.
+    pub fn new(mesh: &TriMesh) -> Self {
+        let mut runs = Self {
+            num_triangles: mesh.num_triangles(),
+            num_vertices: mesh.num_vertices(),
+            bounds: vec![],
+            first_block: vec![0],
+            blocks: vec![],
+        };
+        let ids: Vec<TriangleId> = mesh.triangle_ids().collect();
+        for (triangles, ids) in mesh.triangles().chunks(RUN_SIZE).zip(ids.chunks(RUN_SIZE)) {
+            runs.bounds.push(BoundingBox::of(mesh, ids.iter().copied()));
+            let mut blocks = triangles.as_flattened().to_vec();
+            for vertex in &mut blocks {
+                *vertex /= BLOCK_SIZE;
+            }
+            blocks.sort_unstable();
+            blocks.dedup();
+            runs.blocks.extend(blocks);
+            runs.first_block.push(runs.blocks.len());
+        }
+        runs
+    }
+
+    /// What the camera may see: every triangle that is drawn, or lies in the image, is among it.
+    #[expect(
+        clippy::cast_possible_truncation,
+        reason = "a mesh has at most 2³² triangles"
+    )]
+    pub fn in_view(&self, camera: &PinholeCamera, camera_from_world: &RigidTransform) -> MeshPart {
+        let frustum = Frustum::new(camera, camera_from_world);
+        let mut part = MeshPart::default();
+        let mut by_depth = vec![];
+        let block_size = BLOCK_SIZE as usize;
+        let mut is_wanted = vec![false; self.num_vertices.div_ceil(block_size)];
+        for (run, bounds) in self.bounds.iter().enumerate() {
+            if !frustum.may_see(bounds) {
+                continue;
+            }
+            let start = run * RUN_SIZE;
+            let end = (start + RUN_SIZE).min(self.num_triangles);
+            let triangles = start as u32..end as u32;
+            push_joined(&mut part.triangles, triangles.clone());
+            by_depth.push((frustum.nearest_m(bounds), triangles));
+            for &block in &self.blocks[self.first_block[run]..self.first_block[run + 1]] {
+                is_wanted[block as usize] = true;
+            }
+        }
+        for (block, _) in is_wanted.iter().enumerate().filter(|(_, wanted)| **wanted) {
+            let start = block * block_size;
+            let end = (start + block_size).min(self.num_vertices);
+            push_joined(&mut part.vertices, start..end);
+        }
+        by_depth.sort_by(|(a, _), (b, _)| a.total_cmp(b));
+        part.front_to_back = by_depth.into_iter().map(|(_, run)| run).collect();
+        part
+    }
+}
+
+/// Adds a run, to the last one where it follows on.
+fn push_joined<T: PartialEq>(runs: &mut Vec<Range<T>>, run: Range<T>) {
+    match runs.last_mut() {
+        Some(last) if last.end == run.start => last.end = run.end,
+        _ => runs.push(run),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::render::{RasterWorkspace, ViewBuffer, rasterize, rasterize_part};
+    use nalgebra::{UnitQuaternion, Vector3};
+    use proptest::prelude::*;
+
+    /// A box of 1 m around the origin, of many small triangles, seen from the inside.
+    fn room() -> TriMesh {
+        let (mut positions, mut triangles) = (vec![], vec![]);
+        for (axis, side) in [
+            (0, -1.0),
+            (0, 1.0),
+            (1, -1.0),
+            (1, 1.0),
+            (2, -1.0),
+            (2, 1.0),
+        ] {
+            let first = u32::try_from(positions.len()).unwrap();
+            for i in 0..=20u8 {
+                for j in 0..=20u8 {
+                    let mut p = [0.0; 3];
+                    p[axis] = side;
+                    p[(axis + 1) % 3] = f64::from(i) / 10.0 - 1.0;
+                    p[(axis + 2) % 3] = f64::from(j) / 10.0 - 1.0;
+                    positions.push(Point3::from(p));
+                }
+            }
+            for i in 0..20 {
+                for j in 0..20 {
+                    let a = first + i * 21 + j;
+                    triangles.extend([[a, a + 1, a + 21], [a + 1, a + 22, a + 21]]);
+                }
+            }
+        }
+        TriMesh::from_soup(positions, triangles).unwrap().0
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
+        #[test]
+        fn nothing_that_is_drawn_is_left_out(
+            angles in [-4.0..4.0f64, -4.0..4.0f64, -4.0..4.0f64],
+            position in [-1.5..1.5f64, -1.5..1.5f64, -1.5..1.5f64],
+            focal_px in 30.0..300.0f64,
+        ) {
+            let mesh = room();
+            let runs = MeshRuns::new(&mesh);
+            let camera = PinholeCamera::new([focal_px, focal_px, 41.0, 28.0], 80, 60).unwrap();
+            let pose = RigidTransform::from_parts(
+                UnitQuaternion::from_euler_angles(angles[0], angles[1], angles[2]),
+                Vector3::from(position),
+            );
+            let part = runs.in_view(&camera, &pose);
+            let mut workspace = RasterWorkspace::default();
+            let [mut whole, mut seen] = [ViewBuffer::default(), ViewBuffer::default()];
+            rasterize(&mesh, &camera, &pose, &mut workspace, &mut whole);
+            rasterize_part(&mesh, &part, &camera, &pose, &mut RasterWorkspace::default(), &mut seen);
+            prop_assert_eq!(&whole, &seen);
+            let is_listed = |t: u32| part.triangles(&mesh).any(|(listed, _)| listed == t);
+            for triangle in mesh.triangle_ids() {
+                let is_inside = mesh.corners_m(triangle).iter().any(|corner| {
+                    camera
+                        .project(&pose.transform_point(corner))
+                        .is_some_and(|px| camera.contains(px))
+                });
+                prop_assert!(!is_inside || is_listed(triangle.0));
+            }
+        }
+    }
+
+    #[test]
+    fn a_narrow_view_takes_little_and_a_view_from_behind_nothing() {
+        let mesh = room();
+        let runs = MeshRuns::new(&mesh);
+        let camera = PinholeCamera::new([200.0, 200.0, 40.0, 30.0], 80, 60).unwrap();
+        let num = |z: f64| {
+            let pose =
+                RigidTransform::from_parts(UnitQuaternion::identity(), Vector3::new(0.0, 0.0, z));
+            runs.in_view(&camera, &pose).triangles(&mesh).count()
+        };
+        assert!(num(0.0) > 0 && 3 * num(0.0) < mesh.num_triangles());
+        assert_eq!(num(-3.0), 0);
+        assert_eq!(
+            MeshPart::whole(&mesh).triangles(&mesh).count(),
+            mesh.num_triangles()
+        );
+        let empty = TriMesh::default();
+        assert_eq!(
+            MeshRuns::new(&empty).in_view(&camera, &RigidTransform::identity()),
+            MeshPart::default()
+        );
+    }
+}
