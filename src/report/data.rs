@@ -173,6 +173,12 @@ pub struct ChartSummary {
     pub area_ratio_min: Option<f64>,
     /// Largest area in the atlas by area in space.
     pub area_ratio_max: Option<f64>,
+    /// L² stretch (Sander et al. 2001): root mean square over the surface, 1 is isometric.
+    pub stretch_l2: Option<f64>,
+    /// L∞ stretch: the most that the texture is pulled apart anywhere.
+    pub stretch_linf: Option<f64>,
+    /// Length of edges whose two triangles lie apart in the atlas.
+    pub seam_length_m: Option<f64>,
     /// What else is known of them: cut, split, fallen back …
     pub details: Vec<Count>,
 }

@@ -259,6 +259,9 @@ fn chart_rows(report: &Report) -> Vec<Vec<String>> {
     optional("quasi-conformal error, worst", charts.quasi_conformal_max);
     optional("smallest area kept", charts.area_ratio_min);
     optional("largest area kept", charts.area_ratio_max);
+    optional("stretch, L²", charts.stretch_l2);
+    optional("stretch, L∞", charts.stretch_linf);
+    optional("seams, m", charts.seam_length_m);
     rows.extend(counts(&charts.details));
     rows
 }

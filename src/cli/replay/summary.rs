@@ -191,22 +191,32 @@ fn mesh_details(run: &Run) -> Vec<Count> {
 
 fn charts(run: &Run) -> ChartSummary {
     let report = &run.texinit.report;
-    let distortion = &report.flatten.distortion;
+    let distortion = &report.absorb.distortion;
     ChartSummary {
         quasi_conformal_mean: Some(distortion.quasi_conformal_mean),
         quasi_conformal_max: Some(distortion.quasi_conformal_max),
         area_ratio_min: Some(distortion.area_ratio_min),
         area_ratio_max: Some(distortion.area_ratio_max),
+        stretch_l2: Some(distortion.stretch_l2),
+        stretch_linf: Some(distortion.stretch_linf),
+        seam_length_m: Some(report.absorb.seam_length_m),
         details: vec![
             Count::new(
                 "of a single triangle",
-                report.flatten.num_single_triangle_charts as u64,
+                report.absorb.num_single_triangle_charts as u64,
             ),
+            Count::new("grown", report.flatten.num_grown_charts as u64),
+            Count::new("cones", report.flatten.solve.num_cones as u64),
             Count::new(
                 "that overlapped themselves",
                 report.overlap.num_overlapping_charts as u64,
             ),
             Count::new("pieces after separation", report.overlap.num_pieces as u64),
+            Count::new("that joined a neighbour", report.absorb.num_absorbed as u64),
+            Count::new(
+                "split for the solver",
+                report.flatten.solve.num_split_for_solver as u64,
+            ),
             Count::new(
                 "scaled down to fit a page",
                 report.pack.num_scaled_charts as u64,

@@ -29,13 +29,17 @@ use crate::texinit::overlap::detect::{PlaneTriangles, overlapping_pairs};
 /// Neighbours that a small chart is tried with, at most: a third joins few more charts.
 const MAX_TRIES: usize = 2;
 
+/// A chart that has turned away so many takes no more: where it lies among dust, trying each grain
+/// would cost a factorisation apiece.
+const MAX_REJECTIONS: usize = 8;
+
 /// Slits that two charts get to lie flat together, at most; each is another factorisation.
 const MAX_SLITS_TOGETHER: usize = 2;
 
 /// What [`absorb()`] did.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct AbsorbReport {
-    /// Pairs that were flattened together.
+    /// How often charts were flattened together.
     pub num_tried: usize,
     /// Charts that became part of another.
     pub num_absorbed: usize,
@@ -99,6 +103,8 @@ struct Absorber<'a> {
     label: Vec<u32>,
     /// Neighbours that each chart was tried with.
     tried: Vec<Vec<u32>>,
+    /// How many each chart has turned away.
+    num_rejected: Vec<usize>,
 }
 
 impl<'a> Absorber<'a> {
@@ -126,6 +132,7 @@ impl<'a> Absorber<'a> {
             manifold,
             params,
             tried: vec![Vec::new(); open.len()],
+            num_rejected: vec![0; open.len()],
             charts: open,
             label,
         }
@@ -148,6 +155,7 @@ impl<'a> Absorber<'a> {
         for outcome in joined {
             report.num_tried += outcome.num_tried;
             report.num_absorbed += outcome.absorbed.len();
+            self.num_rejected[outcome.host as usize] += outcome.rejected.len();
             for guest in outcome.rejected {
                 self.tried[guest as usize].push(outcome.host);
             }
@@ -188,6 +196,7 @@ impl<'a> Absorber<'a> {
                 .into_iter()
                 .filter(|&(other, _)| {
                     role[other as usize] != Role::Guest
+                        && self.num_rejected[other as usize] < MAX_REJECTIONS
                         && !self.tried[chart as usize].contains(&other)
                         && self.num_triangles(other) + size <= self.params.max_chart_triangles
                 })
@@ -228,8 +237,8 @@ impl<'a> Absorber<'a> {
         borders
     }
 
-    /// Flattens a host with all its guests or, where that does not come out well, with one after
-    /// the other.
+    /// Flattens a host with all its guests or, where that does not come out well, with one half of
+    /// them and then the other, down to single ones.
     fn join(&self, host: u32, guests: Vec<u32>) -> Joined {
         let mut joined = Joined {
             host,
@@ -239,31 +248,30 @@ impl<'a> Absorber<'a> {
             num_tried: 0,
         };
         let own = self.triangles_of(host);
-        let together = guests.iter().flat_map(|&guest| self.triangles_of(guest));
-        let all: Vec<TriangleId> = own.iter().copied().chain(together).collect();
-        if guests.len() > 1 && all.len() <= self.params.max_chart_triangles {
-            joined.num_tried += 1;
-            if let Some(chart) = self.flatten_together(all) {
-                joined.chart = Some(chart);
-                joined.absorbed = guests;
-                return joined;
+        let mut groups = vec![guests];
+        while let Some(mut group) = groups.pop() {
+            if self.num_rejected[host as usize] + joined.rejected.len() >= MAX_REJECTIONS {
+                joined.rejected.append(&mut group);
+                continue;
             }
-        }
-        for guest in guests {
             let current = joined.chart.as_ref().map_or(&own, |chart| &chart.triangles);
-            let mut both = current.clone();
-            both.extend(self.triangles_of(guest));
-            joined.num_tried += 1;
-            let chart = if both.len() <= self.params.max_chart_triangles {
-                self.flatten_together(both)
-            } else {
-                None
-            };
+            let mut together = current.clone();
+            for &guest in &group {
+                together.extend(self.triangles_of(guest));
+            }
+            let mut chart = None;
+            if together.len() <= self.params.max_chart_triangles {
+                joined.num_tried += 1;
+                chart = self.flatten_together(together);
+            }
             if chart.is_some() {
                 joined.chart = chart;
-                joined.absorbed.push(guest);
+                joined.absorbed.append(&mut group);
+            } else if group.len() > 1 {
+                let rest = group.split_off(group.len() / 2);
+                groups.extend([rest, group]);
             } else {
-                joined.rejected.push(guest);
+                joined.rejected.append(&mut group);
             }
         }
         joined
