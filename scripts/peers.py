@@ -29,7 +29,7 @@ DOES = {
     "veneer": "Any soup. One density, whole pages with gutters around each chart.",
     "veneer --paper": "Any soup. One chart per component, as the paper has it.",
     "xatlas": "Any soup; faces that it takes for faulty get no place. One density.",
-    "Open3D UVAtlas": "Manifold meshes only: others are refused. One page.",
+    "Open3D UVAtlas": "Manifold meshes only: it crashes on others. One page.",
 }
 
 
@@ -159,7 +159,9 @@ def unwrap(tool, name, work, limit_s):
     if run.returncode != 0:
         said = [line for line in (run.stdout + run.stderr).splitlines() if "INFO" not in line]
         last = said[-1].strip()[-160:] if said else "nothing said"
-        raise RuntimeError(f"{last} (exit {run.returncode})")
+        if run.returncode < 0:
+            last = f"crashes (signal {-run.returncode})"
+        raise RuntimeError(last)
     data = np.load(out)
     return data["uv"], data["pages"], tuple(data["size"]), float(data["seconds"])
 
@@ -331,7 +333,7 @@ def main():
                 print(start, f"over {options.limit_s:.0f} |" + " |" * 10, flush=True)
                 continue
             except RuntimeError as error:
-                print(start, f"refused: {str(error).replace('|', '/')} |" + " |" * 10, flush=True)
+                print(start, f"none: {str(error).replace('|', '/')} |" + " |" * 10, flush=True)
                 continue
             m = measure(vertices, faces, uv, pages, size)
             low, high = m["density"]

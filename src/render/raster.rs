@@ -373,7 +373,8 @@ fn draw(corners: [ScreenVertex; 3], triangle: u32, out: &mut ViewBuffer) {
                 if is_inside {
                     has_entered = true;
                     let candidate = (pixel_inv_z as f32).clamp(farthest, nearest);
-                    let is_nearer = candidate > *stored || (candidate == *stored && triangle < *id);
+                    let is_tie = candidate == *stored && candidate > 0.0;
+                    let is_nearer = candidate > *stored || (is_tie && triangle < *id);
                     if is_nearer {
                         *stored = candidate;
                         *id = triangle;

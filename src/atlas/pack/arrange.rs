@@ -1,6 +1,8 @@
 //! Footprints onto as few texels as they need: the [`PageAllocator`], fed from the largest to the
 //! smallest.
 
+use rayon::prelude::*;
+
 use super::allocator::{PageAllocator, Slot};
 use super::footprint::Footprint;
 use crate::atlas::cells::QuarterTurn;
@@ -107,25 +109,28 @@ fn on_one_page(
     if area > u64::from(max_side).pow(2) {
         return None;
     }
-    let mut best: Option<Arrangement> = None;
-    for width in widths_to_try(footprints, area, limits) {
+    let on_width = |width: u32| {
         let max_height = u32::try_from(limits.max_texels / u64::from(width)).unwrap_or(u32::MAX);
         let height = max_side.min(max_height) / SIDE_STEP_TEXEL * SIDE_STEP_TEXEL;
         let allocator = limits.allocator([width, height], 1);
-        let arrangement = place_all(footprints, order, allocator, limits);
-        best = match (arrangement, best) {
-            (Some(new), Some(old)) if old.num_texels() <= new.num_texels() => Some(old),
-            (new, old) => new.or(old),
-        };
-    }
-    best
+        place_all(footprints, order, allocator, limits)
+    };
+    let tries: Vec<Option<Arrangement>> = widths_to_try(footprints, area, limits)
+        .into_par_iter()
+        .map(on_width)
+        .collect();
+    // The first of equals.
+    tries
+        .into_iter()
+        .flatten()
+        .min_by_key(Arrangement::num_texels)
 }
 
 /// Widths around that of a square, and, while there are few footprints, those that suit the
 /// longest of them.
 fn widths_to_try(footprints: &[Footprint], area: u64, limits: &PageLimits) -> Vec<u32> {
-    /// Footprints placed in all, roughly: each takes some ten microseconds.
-    const EFFORT: usize = 2000;
+    /// Footprints placed in all, roughly: each takes some hundred microseconds.
+    const EFFORT: usize = 6000;
     let max_width = limits.max_side_texel;
     #[expect(
         clippy::cast_possible_truncation,

@@ -86,8 +86,8 @@ fn notes(run: &Run, bag: &BagReader) -> Vec<Note> {
         note(
             Severity::Warning,
             format!(
-                "The photos hold {wanted:.0} texels per metre; the texel budget \
-                 (texinit.max_megatexels) allows {used:.0}."
+                "The photos hold {wanted:.0} texels per metre; the size of the texture \
+                 (texinit.max_texels, texinit.size_rule) allows {used:.0}."
             ),
         );
     }

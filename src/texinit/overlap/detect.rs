@@ -345,6 +345,72 @@ pub(super) mod tests {
         assert_eq!(pairs, Some(vec![]));
     }
 
+    /// Rings of quads, each larger than the one within by the same factor: from a micrometre to a
+    /// kilometre.
+    fn rings_of_all_sizes() -> Vec<[Point; 3]> {
+        let at = |i: usize, j: usize| {
+            let radius = 10f64.powf(-6.0 + 9.0 * i as f64 / 200.0);
+            let angle = j as f64 / 50.0 * 1.5;
+            [radius * angle.cos(), radius * angle.sin()]
+        };
+        let quads = (0..200).flat_map(|i| (0..50).map(move |j| (i, j)));
+        quads
+            .flat_map(|(i, j)| {
+                let [a, b, c, d] = [at(i, j), at(i + 1, j), at(i + 1, j + 1), at(i, j + 1)];
+                [[a, b, c], [a, c, d]]
+            })
+            .collect()
+    }
+
+    #[test]
+    fn triangles_of_mixed_sizes_are_few_candidates() {
+        let rings = rings_of_all_sizes();
+        let layer = PlaneTriangles::new(&rings);
+        let pairs = pairs_among_candidates(&layer, 0, 60 * rings.len());
+        assert!(pairs.is_ok_and(|pairs| pairs.is_empty()));
+    }
+
+    #[test]
+    fn a_fan_with_too_many_candidates_is_proved_by_its_outline() {
+        let spoke = |k: usize| {
+            let angle = k as f64 / 6000.0 * std::f64::consts::TAU;
+            [angle.cos(), angle.sin()]
+        };
+        let mut fan: Vec<_> = (0..6000)
+            .map(|k| [[0.0, 0.0], spoke(k), spoke((k + 1) % 6000)])
+            .collect();
+        let layer = PlaneTriangles::new(&fan);
+        let candidates = pairs_among_candidates(&layer, 0, MIN_TEST_BUDGET);
+        assert!(matches!(candidates, Err(GivenUp::TooManyTests)));
+        assert_eq!(overlapping_pairs(&layer, 0), Some(vec![]));
+        fan.push([[0.5, 0.5], [0.6, 0.5], [0.5, 0.6]]);
+        assert_eq!(overlapping_pairs(&PlaneTriangles::new(&fan), 0), None);
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(24))]
+        #[test]
+        fn divided_cells_miss_no_pair(
+            triangles in proptest::collection::vec((triangle(40), 0i32..28, 0u32..8), 400),
+        ) {
+            let corners: Vec<_> = triangles
+                .iter()
+                .map(|(t, shift, direction)| {
+                    // Smaller towards one place, in steps of two.
+                    let (sin, cos) = (0.2 * f64::from(*direction)).sin_cos();
+                    let size = 0.5_f64.powi(*shift);
+                    as_metres(t).map(|p| [size * (cos + p[0]), size * (sin + p[1])])
+                })
+                .collect();
+            let layer = PlaneTriangles::new(&corners);
+            prop_assert!(layer.grid.num_levels() > 3, "{} levels", layer.grid.num_levels());
+            prop_assert_eq!(
+                overlapping_pairs(&layer, usize::MAX).unwrap(),
+                pairs_by_brute_force(&corners)
+            );
+        }
+    }
+
     proptest! {
         #[test]
         fn agrees_with_exact_polygons(a in triangle(6), b in triangle(6)) {

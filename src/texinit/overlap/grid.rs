@@ -14,6 +14,9 @@ const MAX_ENTRIES_PER_TRIANGLE: usize = 32;
 /// Cells that more triangles touch are divided, where that is possible.
 const MAX_MEMBERS: usize = 64;
 
+/// Cells of a finer grid are fewer: large triangles touch all of them.
+const TRIANGLES_PER_FINER_CELL: usize = 4;
+
 /// A divided cell may have so many times as many entries.
 const MAX_REPEATS: usize = 4;
 
@@ -139,6 +142,11 @@ impl Grid {
         self.divided_by.len()
     }
 
+    #[cfg(test)]
+    pub(super) fn num_levels(&self) -> usize {
+        self.levels.len()
+    }
+
     pub(super) fn for_each_cell(
         &self,
         corners: &[Point; 3],
@@ -180,7 +188,8 @@ impl Grid {
             }
             let crowd: Vec<u32> = crowd.iter().map(|&m| members[m as usize]).collect();
             let bounds = self.levels[level].bounds_of(cell);
-            let finer = Level::with_cells(&bounds, crowd.len(), self.divided_by.len());
+            let num_finer = crowd.len() / TRIANGLES_PER_FINER_CELL;
+            let finer = Level::with_cells(&bounds, num_finer, self.divided_by.len());
             let limit = MAX_REPEATS * crowd.len();
             let is_fine = finer.num_cells() > 1 && finer.side() >= min_side;
             if !is_fine || shapes.num_entries_up_to(&finer, &crowd, limit).is_none() {
