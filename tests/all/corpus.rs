@@ -302,7 +302,7 @@ fn the_corpus_is_as_bad_as_it_says() {
         10 + 49
     );
     assert!(repairs(meshes::duplicates()).num_duplicate_triangles > 2000);
-    assert!(repairs(meshes::opposite_faces()).num_duplicate_triangles == 1800);
+    assert!(repairs(meshes::opposite_faces()).num_opposite_triangles == 1800);
     assert!(repairs(meshes::all_at_one_point()).num_collapsed_triangles == 1152);
     assert!(repairs(meshes::all_on_one_line()).num_zero_area_triangles == 1152);
     assert!(repairs(meshes::vertices_named_twice()).num_collapsed_triangles > 200);
