@@ -128,7 +128,7 @@ impl Default for FlattenParams {
             mode: ChartMode::Streaming,
             boundary: ChartBoundary::Isometric,
             max_normal_deviation_rad: 55_f64.to_radians(),
-            max_chart_triangles: 1000,
+            max_chart_triangles: 1500,
             min_chart_triangles: 12,
             max_boundary_roughness: 4.0,
             num_smoothing_rounds: 5,
@@ -137,7 +137,7 @@ impl Default for FlattenParams {
             max_stretch: 2.0,
             max_flipped_share: 0.005,
             max_cones: 100,
-            absorb_below_triangles: 100,
+            absorb_below_triangles: 30,
         }
     }
 }
