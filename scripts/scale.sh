@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
 # TexInit at the size of the paper's largest scene: synthesises a room of 200,000 triangles filmed
-# by 350 frames of 960×720, textures it with 1, 2 and 4 threads, checks that all outputs are equal
-# to the last bit, and prints time and memory. The paper's program takes about two minutes.
+# by 350 frames of 960×720, textures it with 1, 2 and 4 threads, checks that all outputs but the
+# report's times are equal to the last bit, and prints time and memory. The paper's program takes
+# about two minutes.
 #
 #   scripts/scale.sh [BAG]      reuse (or keep) the recording at BAG
 set -euo pipefail
@@ -21,7 +22,8 @@ for threads in 1 2 4; do
         -p keyframe.min_translation_m:=0.0 -p keyframe.min_rotation_rad:=0.0 \
         -p keyframe.min_relative_sharpness:=0.0 -p eval.held_out_views:=0 \
         >"$work/report_$threads.json"
-    mv "$work/out/hashes.txt" "$work/hashes_$threads.txt"
+    # The report, named after the comment, has times in it.
+    sed '/^#/,$d' "$work/out/hashes.txt" >"$work/hashes_$threads.txt"
     rm -rf "$work/out"
     cmp "$work/hashes_1.txt" "$work/hashes_$threads.txt"
 done
