@@ -57,6 +57,23 @@ fn analytic() -> Vec<(String, TriMesh)> {
     ]
 }
 
+/// Whether a triangle is so nearly collinear that ours lengthens all edges a little, which libigl
+/// does not (the Laplacian's mollification).
+fn has_needle(mesh: &TriMesh) -> bool {
+    let sides: Vec<[f64; 3]> = mesh
+        .triangle_ids()
+        .map(|t| {
+            let [a, b, c] = mesh.corners_m(t);
+            [(b - a).norm(), (c - b).norm(), (a - c).norm()]
+        })
+        .collect();
+    let mean = sides.iter().flatten().sum::<f64>() / (3 * sides.len()) as f64;
+    sides.iter().any(|sides| {
+        let longest = sides.iter().copied().fold(0.0, f64::max);
+        sides.iter().sum::<f64>() - 2.0 * longest < 1e-5 * mean
+    })
+}
+
 /// Largest charts of a capture that are disks as they stand, each as a mesh of its own.
 fn captured(name: &str, num_charts: usize) -> Vec<(String, TriMesh)> {
     let path =
@@ -88,6 +105,7 @@ fn captured(name: &str, num_charts: usize) -> Vec<(String, TriMesh)> {
     });
     let is_plain_disk = |mesh: &TriMesh| {
         DiskSurface::new(mesh).is_ok_and(|disk| disk.mesh_vertices().len() == mesh.num_vertices())
+            && !has_needle(mesh)
     };
     let found: Vec<_> = alone
         .filter(is_plain_disk)
@@ -214,7 +232,12 @@ fn libigl_agrees_with_every_step_and_is_not_better() {
         assert!(number("harmonic") < 1e-9, "{name}: x is not harmonic");
         assert!(number("conjugate") < 1e-9, "{name}: y is not its conjugate");
         check_figures(name, &case.isometric.distortion, &theirs["isometric"]);
-        assert!(case.isometric.closure.gap < 1e-3, "{name}: the curve gapes");
+        // What discrete curvature leaves open; it shrinks with finer triangles.
+        let max_gap = if name.contains(' ') { 5e-3 } else { 1e-5 };
+        assert!(
+            case.isometric.closure.gap < max_gap,
+            "{name}: the curve gapes"
+        );
         assert!(case.isometric.closure.corrected_gap <= 1e-12);
 
         // LSCM has the least error of all maps; ours keeps areas better for hardly more.
