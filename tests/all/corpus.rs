@@ -350,6 +350,7 @@ fn table() {
                 ("vertices doubled", manifold.num_duplicated_vertices),
                 ("reversed", manifold.num_reversed_triangles),
                 ("duplicate", manifold.num_duplicate_triangles),
+                ("opposite", manifold.num_opposite_triangles),
                 ("collapsed", manifold.num_collapsed_triangles),
                 ("no area", manifold.num_zero_area_triangles),
             ];
