@@ -15,6 +15,7 @@ triangles (vertices of equal position merged). From its texture coordinates foll
 
 import argparse
 import json
+import re
 import subprocess
 import sys
 import time
@@ -29,7 +30,7 @@ DOES = {
     "veneer": "Any soup. One density, whole pages with gutters around each chart.",
     "veneer --paper": "Any soup. One chart per component, as the paper has it.",
     "xatlas": "Any soup; faces that it takes for faulty get no place. One density.",
-    "Open3D UVAtlas": "Manifold meshes only: it crashes on others. One page.",
+    "Open3D UVAtlas": "Manifold meshes only: others it refuses, or crashes on. One page.",
 }
 
 
@@ -157,8 +158,9 @@ def unwrap(tool, name, work, limit_s):
     out.unlink(missing_ok=True)
     run = subprocess.run(command, capture_output=True, text=True, timeout=limit_s)
     if run.returncode != 0:
-        said = [line for line in (run.stdout + run.stderr).splitlines() if "INFO" not in line]
-        last = said[-1].strip()[-160:] if said else "nothing said"
+        plain = re.sub(r"\x1b\[[0-9;]*m", "", run.stdout + run.stderr)
+        said = [line for line in plain.splitlines() if line.strip() and "INFO" not in line]
+        last = said[-1].strip().rsplit(": ", 1)[-1][-160:] if said else "nothing said"
         if run.returncode < 0:
             last = f"crashes (signal {-run.returncode})"
         raise RuntimeError(last)
