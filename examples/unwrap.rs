@@ -5,8 +5,9 @@
 //!     [--texels-per-m N] [--threads N] [-p NAME:=VALUE]...
 //! ```
 //!
-//! `--page N` fills one page of N × N texels as densely as it can. Prints times, counts and distortion as JSON; `OUT.obj` gets the mesh with its texture coordinates
-//! in [0, 1] of its page (v up, as OBJ has it), one group per page.
+//! `--page N` fills one page of N × N texels as densely as it can. Prints times, counts and
+//! distortion as JSON; `OUT.obj` gets the mesh with its texture coordinates in [0, 1] of its page (v
+//! up, as OBJ has it), one group per page.
 
 #![expect(
     clippy::print_stdout,
