@@ -43,4 +43,5 @@ pub mod report;
 #[cfg(feature = "bag")]
 pub mod synth;
 pub mod texinit;
+pub mod texsmooth;
 pub mod wire;
