@@ -8,7 +8,7 @@ use super::run::StageTime;
 use crate::texinit::{Observer, Stage};
 
 /// Notes when each stage begins, and passes it on to whoever watches.
-pub(super) struct StageClock<'a> {
+pub struct StageClock<'a> {
     progress: &'a dyn Progress,
     noted: Mutex<Noted>,
 }
@@ -29,14 +29,16 @@ impl Noted {
 }
 
 impl<'a> StageClock<'a> {
-    pub(super) fn new(progress: &'a dyn Progress) -> Self {
+    /// Tells `progress` of every stage.
+    pub fn new(progress: &'a dyn Progress) -> Self {
         Self {
             progress,
             noted: Mutex::default(),
         }
     }
 
-    pub(super) fn begin(&self, name: &'static str, num_steps: usize) {
+    /// A stage begins, and the one before it has ended; 0 steps means that their number is unknown.
+    pub fn begin(&self, name: &'static str, num_steps: usize) {
         if let Ok(mut noted) = self.noted.lock() {
             noted.end();
             noted.running = Some((name, Instant::now()));
@@ -44,11 +46,13 @@ impl<'a> StageClock<'a> {
         self.progress.begin(name, num_steps as u64);
     }
 
-    pub(super) fn advance(&self, num_steps: usize) {
+    /// Some steps of the running stage are done.
+    pub fn advance(&self, num_steps: usize) {
         self.progress.advance(num_steps as u64);
     }
 
-    pub(super) fn finish(self) -> Vec<StageTime> {
+    /// The stages that ran, in order.
+    pub fn finish(self) -> Vec<StageTime> {
         match self.noted.into_inner() {
             Ok(mut noted) => {
                 noted.end();

@@ -2,18 +2,16 @@
 
 use std::sync::Arc;
 
-use rayon::prelude::*;
-
 use super::clock::StageClock;
 use super::held_out::{self, HeldOutParams, HeldOutView};
 use super::progress::Progress;
-use crate::geom::{ImageError, PosedFrame, Stamp};
-use crate::ingest::{Assembled, Assembler, EventSource, IngestParams, IngestReport};
-use crate::keyframe::quality;
-use crate::keyframe::{FrameQuality, Keyframe, KeyframeParams, KeyframeReport, KeyframeStore};
-use crate::mesh::weld::{WeldError, weld};
-use crate::mesh::{MeshError, TriMesh, subdivide};
-use crate::texinit::{TexInit, TexInitError, TexInitParams, texinit};
+use super::scan::gather;
+use super::texture::{Textured, texture_scan};
+use crate::ingest::{EventSource, IngestParams, IngestReport};
+use crate::keyframe::{Keyframe, KeyframeParams, KeyframeReport};
+use crate::mesh::weld::WeldError;
+use crate::mesh::{MeshError, TriMesh};
+use crate::texinit::{TexInit, TexInitError, TexInitParams};
 
 /// Settings of a whole run.
 #[derive(Clone, Debug, Default)]
@@ -98,187 +96,31 @@ pub fn run(
     progress: &dyn Progress,
 ) -> Result<Run, PipelineError> {
     let clock = StageClock::new(progress);
-
-    clock.begin("read and select frames", 0);
-    let gathered = gather(source, params, &clock);
-    let Gathered { store, ingest, .. } = &gathered;
-    let mesh = gathered
-        .mesh
-        .as_ref()
-        .filter(|mesh| mesh.num_triangles() > 0)
-        .ok_or_else(|| PipelineError::NoMesh(why_nothing(ingest, "mesh")))?;
-    let keyframes: Vec<_> = store.keyframes().cloned().collect();
-    if keyframes.is_empty() {
-        return Err(PipelineError::NoKeyframe(why_nothing(ingest, "frame")));
-    }
-
-    clock.begin("weld the mesh", 0);
-    let welded = weld(mesh, params.weld_tolerance_m)?;
-    let mesh = match params.num_subdivisions {
-        0 => welded.mesh,
-        num_rounds => subdivide(&welded.mesh, num_rounds)?,
-    };
+    let mut scan = gather(source, params, &clock)?;
+    let keyframes = std::mem::take(&mut scan.keyframes);
     let (painting, judging) = held_out::split(keyframes, &params.held_out);
 
-    let decode = |keyframe: &Keyframe| store.decode(keyframe);
-    let texinit = texinit(&mesh, &painting, &decode, &params.texinit, &clock)?;
+    let Textured { texinit } = texture_scan(&scan, &painting, params, &clock)?;
 
     clock.begin("render held-out views", judging.len());
-    let held_out =
-        held_out::render_views(&judging, &decode, &mesh, &texinit.layout, &texinit.texture);
+    let held_out = held_out::render_views(
+        &judging,
+        &|keyframe| scan.decode(keyframe),
+        &scan.mesh,
+        &texinit.layout,
+        &texinit.texture,
+    );
 
     Ok(Run {
-        mesh,
+        store: scan.store_report().clone(),
+        mesh: scan.mesh,
         keyframes: painting,
         texinit,
         held_out,
-        store: store.report().clone(),
-        ingest: gathered.ingest,
-        duration_s: gathered.duration_s,
-        num_mesh_updates: gathered.num_mesh_updates,
-        num_welded_vertices: welded.num_merged,
+        ingest: scan.ingest,
+        duration_s: scan.duration_s,
+        num_mesh_updates: scan.num_mesh_updates,
+        num_welded_vertices: scan.num_welded_vertices,
         stages: clock.finish(),
     })
-}
-
-struct Gathered {
-    store: KeyframeStore,
-    mesh: Option<Arc<TriMesh>>,
-    num_mesh_updates: usize,
-    duration_s: f64,
-    ingest: IngestReport,
-}
-
-/// Takes every event of the stream; the mesh that arrived last is the one that counts.
-fn gather(
-    source: &mut dyn EventSource,
-    params: &PipelineParams,
-    clock: &StageClock<'_>,
-) -> Gathered {
-    let mut reader = FrameReader {
-        assembler: Assembler::new(&params.ingest, source.topics()),
-        source,
-        clock,
-        span: None,
-        is_at_end: false,
-    };
-    let mut store = KeyframeStore::new(&params.keyframe);
-    let mut mesh = None;
-    let mut num_mesh_updates = 0;
-    let mut batch = reader.next_batch();
-    while !batch.is_empty() {
-        // The store takes frames one by one, in order; meanwhile the next ones are read and judged.
-        let ((), next) = rayon::join(
-            || {
-                for item in batch {
-                    match item {
-                        // The store counts what it does with each frame.
-                        Gained::Frame(frame, quality) => {
-                            drop(store.offer_measured(*frame, quality));
-                        }
-                        Gained::Mesh(update) => {
-                            mesh = Some(update);
-                            num_mesh_updates += 1;
-                        }
-                    }
-                }
-            },
-            || reader.next_batch(),
-        );
-        batch = next;
-    }
-    Gathered {
-        store,
-        mesh,
-        num_mesh_updates,
-        duration_s: reader
-            .span
-            .map_or(0.0, |(first, last)| last.seconds_since(first)),
-        ingest: reader.assembler.report().clone(),
-    }
-}
-
-/// Frames that are read ahead; raw images are large.
-const BATCH_SIZE: usize = 8;
-
-/// What a stretch of the stream brought.
-enum Gained {
-    Frame(Box<PosedFrame>, Result<FrameQuality, ImageError>),
-    Mesh(Arc<TriMesh>),
-}
-
-/// Reads the stream batch by batch.
-struct FrameReader<'a> {
-    assembler: Assembler,
-    source: &'a mut dyn EventSource,
-    clock: &'a StageClock<'a>,
-    span: Option<(Stamp, Stamp)>,
-    is_at_end: bool,
-}
-
-impl FrameReader<'_> {
-    /// What comes next, in order, with every frame's image judged; empty at the end of the stream.
-    fn next_batch(&mut self) -> Vec<Gained> {
-        let mut assembled = Vec::new();
-        while !self.is_at_end && assembled.len() < BATCH_SIZE {
-            match self.source.next_event() {
-                Some(event) => {
-                    let (first, last) = self.span.unwrap_or((event.received, event.received));
-                    self.span = Some((first.min(event.received), last.max(event.received)));
-                    self.assembler.push(event, &mut assembled);
-                }
-                None => {
-                    self.assembler.finish(&mut assembled);
-                    self.is_at_end = true;
-                }
-            }
-            self.clock.advance(1);
-        }
-        assembled
-            .into_par_iter()
-            .map(|item| match item {
-                Assembled::Frame(frame) => {
-                    let quality = quality::measure(&frame.color);
-                    Gained::Frame(Box::new(frame), quality)
-                }
-                Assembled::Mesh(update) => Gained::Mesh(update),
-            })
-            .collect()
-    }
-}
-
-/// Says what arrived and what was refused, for an error about what did not.
-fn why_nothing(ingest: &IngestReport, wanted: &str) -> String {
-    let refusals: Vec<String> = ingest
-        .topics
-        .iter()
-        .flat_map(|(topic, report)| {
-            report.refused_by_reason.iter().map(move |(reason, count)| {
-                let example = count
-                    .examples
-                    .first()
-                    .map_or(reason.as_str(), |e| e.as_str());
-                format!("{topic}: {} refused, as {example}", count.num)
-            })
-        })
-        .collect();
-    let received: Vec<String> = ingest
-        .topics
-        .iter()
-        .filter(|(_, report)| report.num_received > 0)
-        .map(|(topic, report)| format!("{} on {topic}", report.num_received))
-        .collect();
-    let received = if received.is_empty() {
-        "no message arrived on any topic that veneer reads".to_owned()
-    } else {
-        format!(
-            "no usable {wanted} among the messages received ({})",
-            received.join(", ")
-        )
-    };
-    if refusals.is_empty() {
-        received
-    } else {
-        format!("{received}; {}", refusals.join("; "))
-    }
 }
