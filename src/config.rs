@@ -7,6 +7,7 @@
 
 pub mod parameter;
 pub mod params_file;
+mod smooth;
 pub mod tree;
 
 pub use parameter::{Parameter, ParameterError};

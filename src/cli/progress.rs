@@ -1,18 +1,32 @@
 //! Progress on the terminal: a bar for each stage, or plain lines where there is no terminal.
 
 use std::io::IsTerminal;
+use std::path::PathBuf;
 use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
+use crate::export::atomic;
+use crate::export::pages::jpeg_rgb8;
+use crate::geom::ColorImage;
 use crate::pipeline::Progress;
+use crate::texsmooth::StepProgress;
 
 /// Where progress is shown.
 pub(super) struct TerminalProgress {
     style: Style,
     current: Mutex<Option<Running>>,
+    /// Where previews go.
+    preview: Option<PathBuf>,
+    /// Where checkpoints go.
+    checkpoint: Option<PathBuf>,
 }
+
+const PREVIEW_QUALITY: u8 = 90;
+
+/// Lines of losses between the beginning and the end, where there is no terminal.
+const NUM_LOSS_LINES: usize = 20;
 
 #[derive(Clone, Copy, PartialEq)]
 enum Style {
@@ -39,6 +53,17 @@ impl TerminalProgress {
         Self {
             style,
             current: Mutex::new(None),
+            preview: None,
+            checkpoint: None,
+        }
+    }
+
+    /// Also writes previews and checkpoints to files, each over the one before.
+    pub(super) fn with_files(self, preview: Option<PathBuf>, checkpoint: Option<PathBuf>) -> Self {
+        Self {
+            preview,
+            checkpoint,
+            ..self
         }
     }
 
@@ -130,6 +155,65 @@ impl Progress for TerminalProgress {
             running.bar.inc(num_steps);
         }
     }
+
+    fn losses(&self, at: &StepProgress) {
+        let text = || {
+            let losses = &at.losses;
+            format!(
+                "L1 {:.4} (λ {:.2}), −log D {:.3}, D: real {:.3}, fake {:.3}",
+                losses.l1, at.lambda, losses.adversarial, losses.real, losses.fake
+            )
+        };
+        match self.style {
+            Style::Silent => {}
+            Style::Bars => {
+                if let Ok(current) = self.current.lock()
+                    && let Some(running) = current.as_ref()
+                {
+                    running.bar.set_message(text());
+                }
+            }
+            Style::Lines => {
+                let interval = at.num_steps.div_ceil(NUM_LOSS_LINES).max(1);
+                if at.num_done.is_multiple_of(interval) {
+                    print_line(&format!(
+                        "  step {}/{}: {}",
+                        at.num_done,
+                        at.num_steps,
+                        text()
+                    ));
+                }
+            }
+        }
+    }
+
+    fn preview(&self, num_steps: usize, image: &ColorImage) {
+        if let Some(path) = &self.preview
+            && let Err(error) = write_picture(path, image)
+        {
+            tracing::warn!(num_steps, path = %path.display(), %error, "preview not written");
+        }
+    }
+
+    fn checkpoint(&self, num_steps: usize, bytes: &[u8]) {
+        if let Some(path) = &self.checkpoint
+            && let Err(error) = write_bytes(path, bytes)
+        {
+            tracing::warn!(num_steps, path = %path.display(), %error, "checkpoint not written");
+        }
+    }
+}
+
+fn write_picture(path: &std::path::Path, image: &ColorImage) -> anyhow::Result<()> {
+    let rgb = image.pixels().as_flattened();
+    let bytes = jpeg_rgb8(image.width(), image.height(), rgb, PREVIEW_QUALITY)
+        .map_err(anyhow::Error::msg)?;
+    write_bytes(path, &bytes)
+}
+
+fn write_bytes(path: &std::path::Path, bytes: &[u8]) -> anyhow::Result<()> {
+    atomic::write_atomic(path, |out| out.write_all(bytes))?;
+    Ok(())
 }
 
 #[expect(

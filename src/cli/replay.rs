@@ -14,6 +14,7 @@ use super::print_product;
 use super::progress::TerminalProgress;
 use super::settings::SettingsArgs;
 use crate::bag::BagReader;
+use crate::config::Config;
 use crate::export::{self, TexturedMesh};
 use crate::pipeline::{self, Progress, Run};
 use crate::report::{self, ReportView};
@@ -67,68 +68,90 @@ pub(super) fn run(args: &ReplayArgs, quiet: bool) -> anyhow::Result<()> {
         .filter_map(|(flag, name, value)| Some((flag, name, value?)))
         .collect();
     let config = args.settings.resolve_with(&flags)?;
-    // An unwritable folder should be known before the work, not after it.
-    std::fs::create_dir_all(&args.out)
-        .with_context(|| format!("cannot create the output folder {}", args.out.display()))?;
-    interrupt::remove_when_interrupted({
-        let out = args.out.clone();
-        move || export::atomic::partial_files(&out)
-    });
-    let progress = TerminalProgress::new(quiet);
+    let job = Job {
+        begun,
+        bag: &args.bag,
+        out: &args.out,
+        json: args.json,
+        config: &config,
+    };
+    job.run(TerminalProgress::new(quiet), quiet)
+}
 
-    let mut bag = BagReader::open(&args.bag, &config.topics)?;
-    let mut run = pipeline::run(&mut bag, &config.pipeline, &progress)
-        .with_context(|| why_not(&args.bag, &bag))?;
-    let mut report = summary::of_run(&run, &args.bag, &bag, &config);
-    let views = take_views(&mut run);
+/// A recording to be textured, and where to.
+pub(super) struct Job<'a> {
+    pub(super) begun: Instant,
+    pub(super) bag: &'a Path,
+    pub(super) out: &'a Path,
+    /// Whether the report's numbers go to standard output.
+    pub(super) json: bool,
+    pub(super) config: &'a Config,
+}
 
-    progress.begin("write exports", 0);
-    let export_begun = Instant::now();
-    let textured = TexturedMesh::new(&run.mesh, &run.texinit.layout, &run.texinit.texture)?;
-    let exported = export::write_all(&textured, &args.out, &config.export)?;
-    let export_s = export_begun.elapsed().as_secs_f64();
-
-    progress.begin("score against the known texture", 0);
-    let score_begun = Instant::now();
-    let synthetic = score::against_truth(&args.bag, &run)?;
-    let score_s = score_begun.elapsed().as_secs_f64();
-
-    progress.begin("draw the report", 0);
-    report.stages.push(report::Stage {
-        name: "write exports".to_owned(),
-        seconds: export_s,
-    });
-    if synthetic.is_some() {
-        report.stages.push(report::Stage {
-            name: "score against the known texture".to_owned(),
-            seconds: score_s,
+impl Job<'_> {
+    pub(super) fn run(&self, progress: TerminalProgress, quiet: bool) -> anyhow::Result<()> {
+        let (begun, config) = (self.begun, self.config);
+        // An unwritable folder should be known before the work, not after it.
+        std::fs::create_dir_all(self.out)
+            .with_context(|| format!("cannot create the output folder {}", self.out.display()))?;
+        interrupt::remove_when_interrupted({
+            let out = self.out.to_owned();
+            move || export::atomic::partial_files(&out)
         });
-    }
-    report.synthetic = synthetic;
-    report
-        .notes
-        .extend(exported.notes.iter().map(|text| report::Note {
-            severity: report::Severity::Info,
-            text: text.clone(),
-        }));
-    report.measure(&textured, &views)?;
-    report.peak_memory_bytes = summary::peak_memory_bytes();
-    // Until here: the page cannot say how long it took to draw itself.
-    report.total_s = begun.elapsed().as_secs_f64();
-    let report_files = report::write(&report, Some(&textured), &views, &args.out)?;
-    export::hashes::write(&args.out, &exported.files, &report_files)?;
-    progress.finish();
+        let mut bag = BagReader::open(self.bag, &config.topics)?;
+        let mut run = pipeline::run(&mut bag, &config.pipeline, &progress)
+            .with_context(|| why_not(self.bag, &bag))?;
+        let mut report = summary::of_run(&run, self.bag, &bag, config);
+        let views = take_views(&mut run);
 
-    if args.json {
-        print_product(&(serde_json::to_string_pretty(&report)? + "\n"))?;
-    } else if !quiet {
-        print_product(&closing_lines(
-            &report,
-            &args.out,
-            begun.elapsed().as_secs_f64(),
-        ))?;
+        progress.begin("write exports", 0);
+        let export_begun = Instant::now();
+        let textured = TexturedMesh::new(&run.mesh, &run.texinit.layout, &run.texinit.texture)?;
+        let exported = export::write_all(&textured, self.out, &config.export)?;
+        let export_s = export_begun.elapsed().as_secs_f64();
+
+        progress.begin("score against the known texture", 0);
+        let score_begun = Instant::now();
+        let synthetic = score::against_truth(self.bag, &run)?;
+        let score_s = score_begun.elapsed().as_secs_f64();
+
+        progress.begin("draw the report", 0);
+        report.stages.push(report::Stage {
+            name: "write exports".to_owned(),
+            seconds: export_s,
+        });
+        if synthetic.is_some() {
+            report.stages.push(report::Stage {
+                name: "score against the known texture".to_owned(),
+                seconds: score_s,
+            });
+        }
+        report.synthetic = synthetic;
+        report
+            .notes
+            .extend(exported.notes.iter().map(|text| report::Note {
+                severity: report::Severity::Info,
+                text: text.clone(),
+            }));
+        report.measure(&textured, &views)?;
+        report.peak_memory_bytes = summary::peak_memory_bytes();
+        // Until here: the page cannot say how long it took to draw itself.
+        report.total_s = begun.elapsed().as_secs_f64();
+        let report_files = report::write(&report, Some(&textured), &views, self.out)?;
+        export::hashes::write(self.out, &exported.files, &report_files)?;
+        progress.finish();
+
+        if self.json {
+            print_product(&(serde_json::to_string_pretty(&report)? + "\n"))?;
+        } else if !quiet {
+            print_product(&closing_lines(
+                &report,
+                self.out,
+                begun.elapsed().as_secs_f64(),
+            ))?;
+        }
+        Ok(())
     }
-    Ok(())
 }
 
 /// What the bag lacks, as the context of whatever failed for it.

@@ -35,7 +35,19 @@ impl SettingsArgs {
     /// The same with flags that stand for parameters, (flag, parameter, value): they come after
     /// files and before single parameters.
     pub(super) fn resolve_with(&self, flags: &[(&str, &str, &str)]) -> anyhow::Result<Config> {
+        self.resolve_over(&[], flags)
+    }
+
+    /// The same over other defaults, (parameter, value).
+    pub(super) fn resolve_over(
+        &self,
+        defaults: &[(&str, &str)],
+        flags: &[(&str, &str, &str)],
+    ) -> anyhow::Result<Config> {
         let mut config = Config::default();
+        for (name, value) in defaults {
+            config.set(name, value)?;
+        }
         for path in &self.params_file {
             let text = std::fs::read_to_string(path)
                 .with_context(|| format!("cannot read {}", path.display()))?;

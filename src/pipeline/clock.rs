@@ -5,7 +5,9 @@ use std::time::Instant;
 
 use super::Progress;
 use super::run::StageTime;
+use crate::geom::ColorImage;
 use crate::texinit::{Observer, Stage};
+use crate::texsmooth::{self, StepProgress};
 
 /// Notes when each stage begins, and passes it on to whoever watches.
 pub struct StageClock<'a> {
@@ -70,5 +72,20 @@ impl Observer for StageClock<'_> {
 
     fn advance(&self, num_steps: usize) {
         self.advance(num_steps);
+    }
+}
+
+impl texsmooth::Observer for StageClock<'_> {
+    fn step(&self, progress: &StepProgress) {
+        self.advance(1);
+        self.progress.losses(progress);
+    }
+
+    fn preview(&self, num_done: usize, image: &ColorImage) {
+        self.progress.preview(num_done, image);
+    }
+
+    fn checkpoint(&self, num_done: usize, bytes: &[u8]) {
+        self.progress.checkpoint(num_done, bytes);
     }
 }

@@ -12,6 +12,7 @@ use crate::keyframe::{Keyframe, KeyframeParams, KeyframeReport};
 use crate::mesh::weld::WeldError;
 use crate::mesh::{MeshError, TriMesh};
 use crate::texinit::{TexInit, TexInitError, TexInitParams};
+use crate::texsmooth::{SmoothError, SmoothReport, TexSmoothParams};
 
 /// Settings of a whole run.
 #[derive(Clone, Debug, Default)]
@@ -26,6 +27,10 @@ pub struct PipelineParams {
     pub num_subdivisions: u32,
     /// From frames and mesh to a texture.
     pub texinit: TexInitParams,
+    /// From an initial texture to a sharp one.
+    pub texsmooth: TexSmoothParams,
+    /// A checkpoint of the optimisation to go on from.
+    pub smooth_from: Option<Arc<Vec<u8>>>,
     /// What is held back to judge the result.
     pub held_out: HeldOutParams,
 }
@@ -48,6 +53,9 @@ pub enum PipelineError {
     /// The texture could not be made.
     #[error(transparent)]
     TexInit(#[from] TexInitError),
+    /// The texture could not be refined.
+    #[error(transparent)]
+    TexSmooth(#[from] SmoothError),
 }
 
 /// Wall time of a stage.
@@ -68,6 +76,8 @@ pub struct Run {
     pub keyframes: Vec<Arc<Keyframe>>,
     /// The texture and how it came about.
     pub texinit: TexInit,
+    /// How the optimisation went; `None` where none was asked for.
+    pub texsmooth: Option<SmoothReport>,
     /// Keyframes that were held back, beside the rendering.
     pub held_out: Vec<HeldOutView>,
     /// What ingest received, used and refused.
@@ -100,7 +110,7 @@ pub fn run(
     let keyframes = std::mem::take(&mut scan.keyframes);
     let (painting, judging) = held_out::split(keyframes, &params.held_out);
 
-    let Textured { texinit } = texture_scan(&scan, &painting, params, &clock)?;
+    let Textured { texinit, texsmooth } = texture_scan(&scan, &painting, params, &clock)?;
 
     clock.begin("render held-out views", judging.len());
     let held_out = held_out::render_views(
@@ -116,6 +126,7 @@ pub fn run(
         mesh: scan.mesh,
         keyframes: painting,
         texinit,
+        texsmooth,
         held_out,
         ingest: scan.ingest,
         duration_s: scan.duration_s,

@@ -7,12 +7,15 @@ use super::run::{PipelineError, PipelineParams};
 use super::scan::Scan;
 use crate::keyframe::Keyframe;
 use crate::texinit::{TexInit, texinit};
+use crate::texsmooth::{self, SmoothFrom, SmoothReport};
 
 /// A textured scan.
 #[derive(Debug)]
 pub struct Textured {
     /// The layout, the texture and how they came about.
     pub texinit: TexInit,
+    /// How the optimisation went; `None` where none was asked for.
+    pub texsmooth: Option<SmoothReport>,
 }
 
 /// Textures the mesh of `scan` from `painting`: some or all of its keyframes, possibly with other
@@ -27,6 +30,26 @@ pub fn texture_scan(
     clock: &StageClock<'_>,
 ) -> Result<Textured, PipelineError> {
     let decode = |keyframe: &Keyframe| scan.decode(keyframe);
-    let texinit = texinit(&scan.mesh, painting, &decode, &params.texinit, clock)?;
-    Ok(Textured { texinit })
+    let mut texinit = texinit(&scan.mesh, painting, &decode, &params.texinit, clock)?;
+    let texsmooth = if params.texsmooth.num_steps > 0 {
+        clock.begin("refine the texture", params.texsmooth.num_steps);
+        let from = match &params.smooth_from {
+            Some(bytes) => SmoothFrom::Checkpoint(bytes),
+            None => SmoothFrom::Nothing,
+        };
+        let report = texsmooth::smooth(
+            &scan.mesh,
+            &texinit.layout,
+            &mut texinit.texture,
+            painting,
+            &decode,
+            &params.texsmooth,
+            from,
+            clock,
+        )?;
+        Some(report)
+    } else {
+        None
+    };
+    Ok(Textured { texinit, texsmooth })
 }

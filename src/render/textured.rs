@@ -158,7 +158,7 @@ impl Shader<'_> {
 
 /// The nearest weights of a point of the triangle: coverage was decided on a sub-pixel grid, so
 /// the ray may miss the triangle by a hair, and by more when the triangle is seen edge-on.
-fn inside(weights: [f64; 3]) -> [f64; 3] {
+pub(crate) fn inside(weights: [f64; 3]) -> [f64; 3] {
     let clamped = weights.map(|w| w.clamp(0.0, 1.0));
     let sum = clamped[0] + clamped[1] + clamped[2];
     clamped.map(|w| w / sum)

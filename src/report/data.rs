@@ -43,10 +43,56 @@ pub struct Report {
     pub keyframes: Vec<KeyframeRow>,
     /// Views of the result beside photos.
     pub views: Vec<ViewScore>,
+    /// How the optimisation went, where there was one.
+    pub texsmooth: Option<SmoothSummary>,
     /// Against a known texture, where there is one.
     pub synthetic: Option<SyntheticScore>,
     /// Every parameter as it was used.
     pub parameters: serde_json::Value,
+}
+
+/// How TexSmooth went.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct SmoothSummary {
+    /// Steps done.
+    pub num_steps: usize,
+    /// Steps whose crop showed nothing.
+    pub num_empty: usize,
+    /// Steps whose view was its own partner.
+    pub num_self_partnered: usize,
+    /// Steps at which the discriminator learnt.
+    pub num_critic_steps: usize,
+    /// Whether the time budget ended it.
+    pub is_cut_short: bool,
+    /// What the discriminator ran on.
+    pub backend: String,
+    /// Wall time.
+    pub seconds: f64,
+    /// Texels that changed.
+    pub num_texels: u64,
+    /// Share of the photos' patches whose offset from the rendering is trusted.
+    pub aligned_share: f64,
+    /// Mean length of those offsets, pixels.
+    pub mean_offset_px: f64,
+    /// The longest of them, pixels.
+    pub max_offset_px: f64,
+    /// Losses by stretches of the run.
+    pub losses: Vec<LossRow>,
+}
+
+/// Mean losses over a stretch of the optimisation.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct LossRow {
+    /// Its last step.
+    pub step: usize,
+    /// Mean absolute difference of rendering and target on the scale of [-1, 1].
+    pub l1: f32,
+    /// -log D of the rendering.
+    pub adversarial: f32,
+    /// -log D of the partner's projection.
+    pub real: f32,
+    /// -log(1 - D) of the rendering.
+    pub fake: f32,
 }
 
 /// How much a note matters.

@@ -2,9 +2,12 @@
 
 use serde_json::Value;
 
-use super::data::{Count, KeyframeRow, Report};
+use super::data::{Count, KeyframeRow, Report, SmoothSummary};
 use super::html::{escape, push, section};
 use super::repairs::Repair;
+
+/// Rows of losses in a table.
+const NUM_LOSS_ROWS: usize = 8;
 
 /// A number with thin spaces between its thousands.
 pub(super) fn grouped(value: u64) -> String {
@@ -153,6 +156,47 @@ fn pair(name: &str, value: impl Into<String>) -> Vec<String> {
     vec![name.to_owned(), value.into()]
 }
 
+fn smooth_rows(smooth: &SmoothSummary) -> Vec<Vec<String>> {
+    let per_step_ms = 1e3 * smooth.seconds / smooth.num_steps.max(1) as f64;
+    let mut rows = vec![
+        pair("steps", grouped(smooth.num_steps as u64)),
+        pair("discriminator on", smooth.backend.clone()),
+        pair(
+            "discriminator learnt at",
+            grouped(smooth.num_critic_steps as u64),
+        ),
+        pair(
+            "view was its own partner at",
+            grouped(smooth.num_self_partnered as u64),
+        ),
+        pair("crop showed nothing at", grouped(smooth.num_empty as u64)),
+        pair("time per step", format!("{per_step_ms:.0} ms")),
+        pair("texels changed", grouped(smooth.num_texels)),
+        pair("photos aligned", percent(smooth.aligned_share)),
+        pair(
+            "their offsets, mean / longest",
+            format!(
+                "{:.2} / {:.2} px",
+                smooth.mean_offset_px, smooth.max_offset_px
+            ),
+        ),
+    ];
+    if smooth.is_cut_short {
+        rows.push(pair("ended by", "the time budget"));
+    }
+    let stride = smooth.losses.len().div_ceil(NUM_LOSS_ROWS).max(1);
+    for row in smooth.losses.iter().rev().step_by(stride).rev() {
+        rows.push(pair(
+            &format!("losses to step {}", row.step),
+            format!(
+                "L1 {:.4} · −log D {:.3} · D real {:.3}, fake {:.3}",
+                row.l1, row.adversarial, row.real, row.fake
+            ),
+        ));
+    }
+    rows
+}
+
 /// Mesh, charts, atlas, coverage, scores.
 pub(super) fn result(report: &Report) -> String {
     let plain = ["", "#"];
@@ -164,6 +208,9 @@ pub(super) fn result(report: &Report) -> String {
         "Atlas and coverage",
         &table(&plain, &atlas_rows(report)),
     ));
+    if let Some(smooth) = &report.texsmooth {
+        cards.push_str(&card("TexSmooth", &table(&plain, &smooth_rows(smooth))));
+    }
     if let Some(score) = &report.synthetic {
         let rows = [
             pair("texels compared", grouped(score.num_texels)),

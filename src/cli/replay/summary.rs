@@ -8,9 +8,10 @@ use crate::ingest::EventSource;
 use crate::keyframe::Keyframe;
 use crate::pipeline::Run;
 use crate::report::{
-    ChartSummary, Count, DensitySummary, Drop, KeyframeRow, MeshSummary, Note, Report, Severity,
-    SourceSummary, Stage, TopicRow, repairs,
+    ChartSummary, Count, DensitySummary, Drop, KeyframeRow, LossRow, MeshSummary, Note, Report,
+    Severity, SmoothSummary, SourceSummary, Stage, TopicRow, repairs,
 };
+use crate::texsmooth::SmoothReport;
 
 /// What a run did, as far as the run itself knows; [`Report::measure`] adds what the result shows.
 pub(super) fn of_run(run: &Run, path: &Path, bag: &BagReader, config: &Config) -> Report {
@@ -40,8 +41,36 @@ pub(super) fn of_run(run: &Run, path: &Path, bag: &BagReader, config: &Config) -
             &run.texinit.assignment.best_texels_per_m,
         ),
         keyframes: keyframe_rows(&run.keyframes),
+        texsmooth: run.texsmooth.as_ref().map(smooth_summary),
         parameters: tree::to_json(&mut config.clone()),
         ..Report::default()
+    }
+}
+
+fn smooth_summary(report: &SmoothReport) -> SmoothSummary {
+    SmoothSummary {
+        num_steps: report.num_steps,
+        num_empty: report.num_empty,
+        num_self_partnered: report.num_self_partnered,
+        num_critic_steps: report.num_critic_steps,
+        is_cut_short: report.is_cut_short,
+        backend: report.backend.clone(),
+        seconds: report.seconds,
+        num_texels: report.num_texels,
+        aligned_share: report.offsets.trusted_share,
+        mean_offset_px: report.offsets.mean_px,
+        max_offset_px: report.offsets.max_px,
+        losses: report
+            .curve
+            .iter()
+            .map(|(step, losses)| LossRow {
+                step: *step,
+                l1: losses.l1,
+                adversarial: losses.adversarial,
+                real: losses.real,
+                fake: losses.fake,
+            })
+            .collect(),
     }
 }
 

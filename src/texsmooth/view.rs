@@ -1,0 +1,220 @@
+//! A view of the mesh, crop by crop: which texels each pixel shows, and where its surface is.
+//!
+//! The triangle of each pixel is found once per view and mesh by the z-buffer ([`crate::render`]).
+//! Everything else — barycentrics, position on the page, point in space — is worked out for the
+//! pixels of a crop when they are wanted: four bytes a pixel are kept of a view instead of twenty.
+//!
+//! An offset d between photo and rendering (see [`super::align`]) is taken out here: pixel z of the
+//! photo shows what the mesh shows at z − d, so that the ray through z − d gives its texels. That
+//! holds for parts of a pixel, and no photo is resampled for it.
+
+use nalgebra::{Matrix3, Point3, Vector3};
+use rayon::prelude::*;
+
+use super::texels::{Footprint, Texels};
+use crate::atlas::AtlasLayout;
+use crate::geom::{PinholeCamera, RigidTransform};
+use crate::mesh::{TriMesh, TriangleId};
+use crate::render::raster::{NO_TRIANGLE, barycentric};
+use crate::render::textured::inside;
+
+/// What is textured, and where.
+#[derive(Clone, Copy)]
+pub(super) struct Surface<'a> {
+    pub(super) mesh: &'a TriMesh,
+    pub(super) layout: &'a AtlasLayout,
+}
+
+/// A photo's camera, and the triangle at each of its pixels.
+pub(super) struct View {
+    /// Of the undistorted photo.
+    pub(super) camera: PinholeCamera,
+    pub(super) camera_from_world: RigidTransform,
+    /// Per pixel, row-major: index of the triangle, or [`NO_TRIANGLE`].
+    pub(super) triangle: Vec<u32>,
+}
+
+/// A rectangle of whole pixels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct PixelRect {
+    pub(super) x: usize,
+    pub(super) y: usize,
+    pub(super) width: usize,
+    pub(super) height: usize,
+}
+
+impl PixelRect {
+    pub(super) fn num_pixels(&self) -> usize {
+        self.width * self.height
+    }
+}
+
+/// What the pixels of a crop show, row-major.
+pub(super) struct CropSurface {
+    /// Which texels; none where the mesh is not seen or not painted.
+    pub(super) footprint: Vec<Footprint>,
+    /// Where, in the view's camera, metres; NaN where the mesh is not seen.
+    pub(super) point_in_camera: Vec<[f32; 3]>,
+}
+
+impl View {
+    fn triangle_at(&self, [x, y]: [f64; 2]) -> Option<TriangleId> {
+        let (width, height) = (self.camera.width(), self.camera.height());
+        let (x, y) = (x.round(), y.round());
+        if !(x >= 0.0 && y >= 0.0 && x < f64::from(width) && y < f64::from(height)) {
+            return None;
+        }
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "within the image"
+        )]
+        let index = y as usize * width as usize + x as usize;
+        let triangle = *self.triangle.get(index)?;
+        (triangle != NO_TRIANGLE).then_some(TriangleId(triangle))
+    }
+
+    /// The surface at pixels `rect.x + stride · i` (and so on), seen through `offset_px`.
+    pub(super) fn surface(
+        &self,
+        on: Surface<'_>,
+        texels: &Texels,
+        rect: PixelRect,
+        stride: usize,
+        offset_px: [f32; 2],
+    ) -> CropSurface {
+        let rows: Vec<Vec<(Footprint, [f32; 3])>> = (0..rect.height)
+            .into_par_iter()
+            .map(|row| {
+                let mut corners = Corners::default();
+                (0..rect.width)
+                    .map(|column| {
+                        // The middle of a block of `stride` pixels.
+                        let middle = 0.5 * (stride - 1) as f64;
+                        let at = [rect.x + stride * column, rect.y + stride * row];
+                        let z = [at[0] as f64 + middle, at[1] as f64 + middle];
+                        let x = [0, 1].map(|axis| z[axis] - f64::from(offset_px[axis]));
+                        self.at(on, texels, &mut corners, x)
+                            .unwrap_or((Footprint::NONE, [f32::NAN; 3]))
+                    })
+                    .collect()
+            })
+            .collect();
+        let mut footprint = Vec::with_capacity(rect.num_pixels());
+        let mut point_in_camera = Vec::with_capacity(rect.num_pixels());
+        for (found, point) in rows.into_iter().flatten() {
+            footprint.push(found);
+            point_in_camera.push(point);
+        }
+        CropSurface {
+            footprint,
+            point_in_camera,
+        }
+    }
+
+    fn at(
+        &self,
+        on: Surface<'_>,
+        texels: &Texels,
+        corners: &mut Corners,
+        x_px: [f64; 2],
+    ) -> Option<(Footprint, [f32; 3])> {
+        let triangle = self.triangle_at(x_px)?;
+        let corners = corners.of(self, on.mesh, triangle);
+        let ray = self.camera.ray(x_px[0], x_px[1]);
+        let weights = inside(barycentric(corners, &ray).unwrap_or([1.0 / 3.0; 3]));
+        let place = on.layout.corners_texel.get(triangle.index())?;
+        let page = on.layout.page_of(triangle) as usize;
+        #[expect(clippy::cast_possible_truncation, reason = "rounding to f32 is meant")]
+        let position_texel: [f32; 2] = std::array::from_fn(|axis| {
+            let terms: [f64; 3] = std::array::from_fn(|i| weights[i] * f64::from(place[i][axis]));
+            (terms[0] + terms[1] + terms[2]) as f32
+        });
+        #[expect(clippy::cast_possible_truncation, reason = "rounding to f32 is meant")]
+        let point: [f32; 3] = std::array::from_fn(|axis| {
+            let terms: [f64; 3] = std::array::from_fn(|i| weights[i] * corners[i][axis]);
+            (terms[0] + terms[1] + terms[2]) as f32
+        });
+        Some((texels.footprint(page, position_texel), point))
+    }
+
+    /// Depth along z of the mesh at a pixel, metres.
+    fn depth_m(&self, mesh: &TriMesh, pixel: [f64; 2]) -> Option<f64> {
+        let triangle = self.triangle_at(pixel)?;
+        let corners = self.corners_in_camera(mesh, triangle);
+        let ray = self.camera.ray(pixel[0], pixel[1]);
+        let weights = inside(barycentric(&corners, &ray)?);
+        Some((0..3).map(|i| weights[i] * corners[i].z).sum())
+    }
+
+    fn corners_in_camera(&self, mesh: &TriMesh, triangle: TriangleId) -> [Point3<f64>; 3] {
+        mesh.corners_m(triangle)
+            .map(|corner| self.camera_from_world.transform_point(&corner))
+    }
+
+    /// Where pixels of another view's crop are in this photo: positions in pixels, or none where this
+    /// view does not see the same surface, by the depth of the mesh at the four pixels around.
+    pub(super) fn project_from(
+        &self,
+        other: &Self,
+        mesh: &TriMesh,
+        points_in_other: &[[f32; 3]],
+        max_depth_difference_m: f32,
+    ) -> Vec<Option<[f32; 2]>> {
+        let other_from_world = other.camera_from_world.inverse();
+        let rotation: Matrix3<f64> = (self.camera_from_world.rotation()
+            * other_from_world.rotation())
+        .to_rotation_matrix()
+        .into_inner();
+        let origin = self
+            .camera_from_world
+            .transform_point(&Point3::from(*other_from_world.translation()));
+        let tolerance_m = f64::from(max_depth_difference_m);
+        points_in_other
+            .par_iter()
+            .map(|point| {
+                if point[0].is_nan() {
+                    return None;
+                }
+                let point = origin + rotation * Vector3::from(point.map(f64::from));
+                let [x, y] = self.camera.project(&point)?;
+                let (max_x, max_y) = (
+                    f64::from(self.camera.width()) - 1.0,
+                    f64::from(self.camera.height()) - 1.0,
+                );
+                if !(x >= 0.0 && y >= 0.0 && x <= max_x && y <= max_y) {
+                    return None;
+                }
+                let (x0, y0) = (x.floor(), y.floor());
+                let is_same_surface = (0..4).any(|corner| {
+                    let pixel = [x0 + f64::from(corner % 2), y0 + f64::from(corner / 2)];
+                    self.depth_m(mesh, pixel)
+                        .is_some_and(|depth_m| (depth_m - point.z).abs() <= tolerance_m)
+                });
+                #[expect(clippy::cast_possible_truncation, reason = "rounding to f32 is meant")]
+                let position = [x as f32, y as f32];
+                is_same_surface.then_some(position)
+            })
+            .collect()
+    }
+}
+
+/// Corners of the triangle asked for last: neighbours along a row mostly share it.
+#[derive(Default)]
+struct Corners {
+    known: Option<(TriangleId, [Point3<f64>; 3])>,
+}
+
+impl Corners {
+    fn of(&mut self, view: &View, mesh: &TriMesh, triangle: TriangleId) -> &[Point3<f64>; 3] {
+        let known = self.known.filter(|(id, _)| *id == triangle);
+        let corners = known.map_or_else(
+            || view.corners_in_camera(mesh, triangle),
+            |(_, corners)| corners,
+        );
+        &self.known.insert((triangle, corners)).1
+    }
+}
+
+#[cfg(test)]
+mod tests;
