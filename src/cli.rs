@@ -1,5 +1,6 @@
 //! The command line: one file per subcommand. Only here are a source and a sink chosen (L8).
 
+mod eval;
 mod import;
 mod info;
 mod interrupt;
@@ -17,6 +18,7 @@ use clap::{Parser, Subcommand};
 const EXAMPLES: &str = "\
 Examples:
   veneer replay scan.mcap --out out      texture a recording; open out/report.html
+  veneer eval scan.mcap --out eval       how near its renderings are to photos kept back
   veneer info scan.mcap                  what is in it, and what is missing
   veneer import capture DIR -o scan.mcap make a recording from a data set
   veneer synth room -o room.mcap         make a recording whose texture is known
@@ -46,6 +48,7 @@ struct Cli {
 #[derive(Debug, Subcommand)]
 enum Command {
     Replay(replay::ReplayArgs),
+    Eval(eval::EvalArgs),
     Import(import::ImportArgs),
     Synth(synth::SynthArgs),
     Info(info::InfoArgs),
@@ -97,6 +100,7 @@ fn run(cli: &Cli) -> anyhow::Result<()> {
         .build_global()?;
     match &cli.command {
         Command::Replay(args) => replay::run(args, cli.quiet),
+        Command::Eval(args) => eval::run(args, cli.quiet),
         Command::Import(args) => import::run(args, cli.quiet),
         Command::Synth(args) => synth::run(args, cli.quiet),
         Command::Info(args) => info::run(args),

@@ -43,10 +43,6 @@ impl ConvShape {
         self.num_inputs * self.kernel * self.kernel
     }
 
-    pub(super) fn num_weights(&self) -> usize {
-        self.num_outputs * self.num_taps()
-    }
-
     fn output_side(&self, side: usize) -> Option<usize> {
         let room = (side + 2 * self.padding).checked_sub(self.kernel)?;
         Some(room / self.stride + 1)
@@ -246,7 +242,7 @@ mod tests {
             };
             let conv = Conv {
                 shape,
-                weights: ramp(1, 1, shape.num_weights()).data,
+                weights: ramp(1, 5, shape.num_taps()).data,
                 biases: vec![0.1, -3.0, 0.0, 2.5, -0.7],
             };
             // More positions than a chunk has, with a last chunk that is not full.
