@@ -1,6 +1,7 @@
 //! The command line: one file per subcommand. Only here are a source and a sink chosen (L8).
 
 mod bake;
+mod eval;
 mod import;
 mod info;
 mod interrupt;
@@ -19,6 +20,7 @@ const EXAMPLES: &str = "\
 Examples:
   veneer replay scan.mcap --out out      texture a recording; open out/report.html
   veneer bake scan.mcap --out out        the same as well as can be, however long it takes
+  veneer eval scan.mcap --out eval       how near its renderings are to photos kept back
   veneer info scan.mcap                  what is in it, and what is missing
   veneer import capture DIR -o scan.mcap make a recording from a data set
   veneer synth room -o room.mcap         make a recording whose texture is known
@@ -49,6 +51,7 @@ struct Cli {
 enum Command {
     Replay(replay::ReplayArgs),
     Bake(bake::BakeArgs),
+    Eval(eval::EvalArgs),
     Import(import::ImportArgs),
     Synth(synth::SynthArgs),
     Info(info::InfoArgs),
@@ -101,6 +104,7 @@ fn run(cli: &Cli) -> anyhow::Result<()> {
     match &cli.command {
         Command::Replay(args) => replay::run(args, cli.quiet),
         Command::Bake(args) => bake::run(args, cli.quiet),
+        Command::Eval(args) => eval::run(args, cli.quiet),
         Command::Import(args) => import::run(args, cli.quiet),
         Command::Synth(args) => synth::run(args, cli.quiet),
         Command::Info(args) => info::run(args),

@@ -23,6 +23,7 @@ mod grow;
 mod level;
 mod load;
 pub mod mesh_file;
+pub mod model;
 pub mod obj;
 mod options;
 pub mod ply;

@@ -4,12 +4,14 @@ pub mod adjacency;
 pub mod components;
 pub mod ids;
 pub mod manifold;
+pub mod model;
 pub mod subdivide;
 pub mod tri_mesh;
 pub mod weld;
 
 pub use ids::{TriangleId, VertexId};
 pub use manifold::{Manifold, ManifoldReport};
+pub use model::{Material, ModelError, ModelParts, TexturedModel, Wrap};
 pub use subdivide::subdivide;
 pub use tri_mesh::{MeshError, SoupReport, TriMesh};
 pub use weld::{WeldError, Welded, weld};

@@ -1,10 +1,20 @@
 //! How near a rendering is to a photograph (L3).
+//!
+//! Single measures of two images, and [`protocol`]: the paper's way of comparing several methods
+//! on the photos that none of them has seen.
 
+pub mod gradient;
+pub mod lpips;
+pub mod protocol;
 pub mod psnr;
+pub mod s3;
 pub mod ssim;
 
+pub use gradient::gradient_difference;
+pub use lpips::{Lpips, LpipsError};
 pub use psnr::PixelError;
-pub use ssim::{SsimChannels, ssim};
+pub use s3::{SharpnessMap, sharpness_map};
+pub use ssim::{SsimChannels, SsimWindow, ssim, ssim_windowed};
 
 /// Why two images cannot be compared.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -32,6 +42,16 @@ pub enum MetricError {
 }
 
 use crate::geom::ColorImage;
+
+/// Luma of BT.601 in whole steps, as the Python imaging library and Matlab give it.
+#[expect(
+    clippy::cast_possible_truncation,
+    reason = "the weights add up to 2¹⁶, so that the quotient is at most 255"
+)]
+fn luma_byte([r, g, b]: [u8; 3]) -> u8 {
+    let sum = 19_595 * u32::from(r) + 38_470 * u32::from(g) + 7_471 * u32::from(b);
+    ((sum + 0x8000) >> 16) as u8
+}
 
 fn check(a: &ColorImage, b: &ColorImage, mask: Option<&[bool]>) -> Result<(), MetricError> {
     if (a.width(), a.height()) != (b.width(), b.height()) {

@@ -7,6 +7,7 @@
 
 mod clock;
 mod held_out;
+mod pose_noise;
 pub mod progress;
 pub mod run;
 pub mod scan;
@@ -14,6 +15,7 @@ pub mod texture;
 
 pub use clock::StageClock;
 pub use held_out::{HeldOutParams, HeldOutView};
+pub use pose_noise::with_pose_noise;
 pub use progress::{NoProgress, Progress};
 pub use run::{PipelineError, PipelineParams, Run, StageTime, run};
 pub use scan::{Scan, gather};

@@ -1,10 +1,12 @@
 //! What a camera sees of a mesh: triangle ids, depth, visibility, and the textured picture (L1).
 
+pub mod model;
 pub mod part;
 pub mod raster;
 pub mod textured;
 pub mod visibility;
 
+pub use model::render_model;
 pub use part::{BoundingBox, Frustum, MeshPart, MeshRuns};
 pub use raster::{
     NO_TRIANGLE, RasterWorkspace, ViewBuffer, barycentric, rasterize, rasterize_part,

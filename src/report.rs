@@ -13,6 +13,7 @@ use crate::geom::{ColorImage, Stamp};
 
 pub mod colors;
 pub mod data;
+pub mod eval;
 mod html;
 pub mod measure;
 pub mod page_pictures;
@@ -22,6 +23,7 @@ pub mod repairs;
 mod sections;
 mod tables;
 
+pub use eval::{EvalMeasures, EvalMethod, EvalReport, EvalScore, EvalView, PublishedRow};
 pub use repairs::{Repair, repairs};
 
 pub use data::{

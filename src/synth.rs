@@ -33,6 +33,7 @@ mod texture;
 mod truth;
 mod truth_atlas;
 
+pub(crate) use font::dot_columns;
 pub use options::{
     SceneName, SynthColorFormat, SynthDepthFormat, SynthError, SynthNoise, SynthOptions,
 };

@@ -13,6 +13,9 @@ use super::mesh_file::Polygons;
 
 mod body;
 mod header;
+mod textured;
+
+pub use textured::{TexturedPolygons, parse_textured};
 
 use body::{Body, Stop};
 use header::{Element, Property};

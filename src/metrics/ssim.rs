@@ -1,10 +1,15 @@
 //! Structural similarity (Wang, Bovik, Sheikh, Simoncelli 2004, "Image quality assessment: from
 //! error visibility to structural similarity").
 //!
-//! Gaussian window of 11×11, σ = 1.5, K1 = 0.01, K2 = 0.03, L = 255, population moments, sRGB
-//! bytes. As in the authors' program only windows that lie wholly in the image count. With a
-//! mask the moments are those of the masked pixels of the window (its weights renormalised), and
-//! the mean runs over masked window centres; with a full mask that is the unmasked value.
+//! K1 = 0.01, K2 = 0.03, L = 255, sRGB bytes, under one of two windows:
+//!
+//! - [`SsimWindow::Gaussian`], the paper's: 11×11, σ = 1.5, population moments;
+//! - [`SsimWindow::Uniform`], the default of scikit-image, which the authors of the texturing
+//!   method used: 7×7, sample moments (n − 1).
+//!
+//! As in both programs only windows that lie wholly in the image count. With a mask the moments
+//! are those of the masked pixels of the window (its weights renormalised), and the mean runs over
+//! masked window centres; with a full mask that is the unmasked value.
 
 use rayon::prelude::*;
 
@@ -12,9 +17,6 @@ use crate::geom::ColorImage;
 
 use super::{MetricError, check};
 
-/// Pixels on each side of the window's centre.
-const RADIUS_PX: usize = 5;
-const WINDOW_PX: usize = 2 * RADIUS_PX + 1;
 const SIGMA_PX: f64 = 1.5;
 const C1: f64 = (0.01 * 255.0) * (0.01 * 255.0);
 const C2: f64 = (0.03 * 255.0) * (0.03 * 255.0);
@@ -28,8 +30,55 @@ pub enum SsimChannels {
     Rgb,
 }
 
-/// Mean structural similarity in [−1, 1]; `None` when no window fits (an image of less than 11
-/// pixels a side, or an empty mask).
+/// What the moments are weighted by.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SsimWindow {
+    /// 11×11, σ = 1.5, population moments.
+    Gaussian,
+    /// 7×7, all pixels alike, sample moments.
+    Uniform,
+}
+
+impl SsimWindow {
+    /// Pixels on each side of the window's centre.
+    fn radius_px(self) -> usize {
+        match self {
+            Self::Gaussian => 5,
+            Self::Uniform => 3,
+        }
+    }
+
+    /// Weights along one axis; their sum is 1.
+    fn weights(self) -> Vec<f64> {
+        let radius = self.radius_px();
+        let weight = |i: usize| match self {
+            Self::Gaussian => {
+                let distance = i as f64 - radius as f64;
+                (-distance * distance / (2.0 * SIGMA_PX * SIGMA_PX)).exp()
+            }
+            Self::Uniform => 1.0,
+        };
+        let weights: Vec<f64> = (0..=2 * radius).map(weight).collect();
+        let sum: f64 = weights.iter().sum();
+        weights.into_iter().map(|w| w / sum).collect()
+    }
+
+    /// What turns the population's variance over a window, of which the share `weight` is masked
+    /// in, into the estimate that is used.
+    fn variance_factor(self, weight: f64) -> f64 {
+        match self {
+            Self::Gaussian => 1.0,
+            Self::Uniform => {
+                let side = (2 * self.radius_px() + 1) as f64;
+                let num_pixels = (weight * side * side).round();
+                // A single pixel has no variance either way.
+                num_pixels / (num_pixels - 1.0).max(1.0)
+            }
+        }
+    }
+}
+
+/// Mean structural similarity under the paper's window, see [`ssim_windowed`].
 ///
 /// # Errors
 /// [`MetricError`] when the sizes differ.
@@ -39,9 +88,25 @@ pub fn ssim(
     mask: Option<&[bool]>,
     channels: SsimChannels,
 ) -> Result<Option<f64>, MetricError> {
+    ssim_windowed(a, b, mask, channels, SsimWindow::Gaussian)
+}
+
+/// Mean structural similarity in [−1, 1]; `None` when no window fits (an image smaller than
+/// the window, or an empty mask).
+///
+/// # Errors
+/// [`MetricError`] when the sizes differ.
+pub fn ssim_windowed(
+    a: &ColorImage,
+    b: &ColorImage,
+    mask: Option<&[bool]>,
+    channels: SsimChannels,
+    window: SsimWindow,
+) -> Result<Option<f64>, MetricError> {
     check(a, b, mask)?;
     let (width, height) = (a.width() as usize, a.height() as usize);
-    if width < WINDOW_PX || height < WINDOW_PX {
+    let window_px = 2 * window.radius_px() + 1;
+    if width < window_px || height < window_px {
         return Ok(None);
     }
     let plane = |image: &ColorImage, of: &dyn Fn(&[u8; 3]) -> f64| -> Vec<f64> {
@@ -51,7 +116,7 @@ pub fn ssim(
         0.298_936 * f64::from(p[0]) + 0.587_043 * f64::from(p[1]) + 0.114_021 * f64::from(p[2])
     };
     let mean = |of: &dyn Fn(&[u8; 3]) -> f64| {
-        mean_ssim(&plane(a, of), &plane(b, of), mask, [width, height])
+        mean_ssim(&plane(a, of), &plane(b, of), mask, [width, height], window)
     };
     Ok(match channels {
         SsimChannels::Luma => mean(&luma),
@@ -63,15 +128,6 @@ pub fn ssim(
     })
 }
 
-fn gaussian() -> [f64; WINDOW_PX] {
-    let weights: [f64; WINDOW_PX] = std::array::from_fn(|i| {
-        let distance = i as f64 - RADIUS_PX as f64;
-        (-distance * distance / (2.0 * SIGMA_PX * SIGMA_PX)).exp()
-    });
-    let sum: f64 = weights.iter().sum();
-    weights.map(|w| w / sum)
-}
-
 /// Moments at one pixel: weight, a, b, a², b², ab.
 type Moments = [f64; 6];
 
@@ -80,8 +136,10 @@ fn mean_ssim(
     b: &[f64],
     mask: Option<&[bool]>,
     [width, height]: [usize; 2],
+    window: SsimWindow,
 ) -> Option<f64> {
-    let weights = gaussian();
+    let weights = window.weights();
+    let (radius_px, window_px) = (window.radius_px(), weights.len());
     let rows: Vec<Vec<Moments>> = (0..height)
         .into_par_iter()
         .map(|y| {
@@ -93,22 +151,22 @@ fn mean_ssim(
                 [1.0, a[i], b[i], a[i] * a[i], b[i] * b[i], a[i] * b[i]]
             };
             let row: Vec<Moments> = (0..width).map(at).collect();
-            row.windows(WINDOW_PX)
-                .map(|window| weighted(window, &weights))
+            row.windows(window_px)
+                .map(|moments| weighted(moments.iter(), &weights))
                 .collect()
         })
         .collect();
     // One sum per row, added up in the order of the rows: the same for any thread count.
-    let sums: Vec<(f64, usize)> = (RADIUS_PX..height - RADIUS_PX)
+    let sums: Vec<(f64, usize)> = (radius_px..height - radius_px)
         .into_par_iter()
         .map(|y| {
-            let is_centre = |x: usize| mask.is_none_or(|mask| mask[y * width + x + RADIUS_PX]);
+            let is_centre = |x: usize| mask.is_none_or(|mask| mask[y * width + x + radius_px]);
             let mut sum = 0.0;
             let mut count = 0;
-            for x in (0..width + 1 - WINDOW_PX).filter(|&x| is_centre(x)) {
-                let column: [Moments; WINDOW_PX] =
-                    std::array::from_fn(|i| rows[y + i - RADIUS_PX][x]);
-                sum += similarity(&weighted(&column, &weights));
+            for x in (0..width + 1 - window_px).filter(|&x| is_centre(x)) {
+                let column = (y - radius_px..=y + radius_px).map(|row| &rows[row][x]);
+                let moments = weighted(column, &weights);
+                sum += similarity(&moments, window.variance_factor(moments[0]));
                 count += 1;
             }
             (sum, count)
@@ -118,9 +176,9 @@ fn mean_ssim(
     (count > 0).then(|| sums.iter().map(|(sum, _)| sum).sum::<f64>() / count as f64)
 }
 
-fn weighted(window: &[Moments], weights: &[f64; WINDOW_PX]) -> Moments {
+fn weighted<'a>(window: impl Iterator<Item = &'a Moments>, weights: &[f64]) -> Moments {
     let mut sum = [0.0; 6];
-    for (moments, weight) in window.iter().zip(weights) {
+    for (moments, weight) in window.zip(weights) {
         for (total, moment) in sum.iter_mut().zip(moments) {
             *total += weight * moment;
         }
@@ -128,11 +186,11 @@ fn weighted(window: &[Moments], weights: &[f64; WINDOW_PX]) -> Moments {
     sum
 }
 
-fn similarity(&[weight, a, b, aa, bb, ab]: &Moments) -> f64 {
+fn similarity(&[weight, a, b, aa, bb, ab]: &Moments, variance_factor: f64) -> f64 {
     let [mean_a, mean_b, aa, bb, ab] = [a, b, aa, bb, ab].map(|sum| sum / weight);
-    let var_a = aa - mean_a * mean_a;
-    let var_b = bb - mean_b * mean_b;
-    let covariance = ab - mean_a * mean_b;
+    let var_a = variance_factor * (aa - mean_a * mean_a);
+    let var_b = variance_factor * (bb - mean_b * mean_b);
+    let covariance = variance_factor * (ab - mean_a * mean_b);
     ((2.0 * mean_a * mean_b + C1) * (2.0 * covariance + C2))
         / ((mean_a * mean_a + mean_b * mean_b + C1) * (var_a + var_b + C2))
 }

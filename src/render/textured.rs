@@ -52,6 +52,38 @@ pub fn render_textured(
     camera_from_world: &RigidTransform,
     params: &RenderParams,
 ) -> Result<RenderedView, ImageError> {
+    let surface = |triangle: TriangleId, weights: [f64; 3]| {
+        let corners_texel = layout.corners_texel.get(triangle.index())?;
+        let chart = layout.chart_of_triangle.get(triangle.index())?;
+        let page_index = layout.charts.get(chart.index())?.page;
+        let page = texture.pages.get(page_index as usize)?;
+        sample_page(page, interpolate(corners_texel, weights))
+    };
+    render_surface(mesh, &surface, camera, camera_from_world, params)
+}
+
+/// The value at a point of a triangle, from its corners' values and the point's weights.
+pub(super) fn interpolate(corners: &[[f32; 2]; 3], weights: [f64; 3]) -> [f32; 2] {
+    std::array::from_fn(|axis| {
+        let terms: [f64; 3] = std::array::from_fn(|i| weights[i] * f64::from(corners[i][axis]));
+        #[expect(clippy::cast_possible_truncation, reason = "rounding to f32 is meant")]
+        let sum = (terms[0] + terms[1] + terms[2]) as f32;
+        sum
+    })
+}
+
+/// The colour of a mesh at a point of a triangle, by barycentric weights: sRGB in 0–255, or nothing
+/// where it has none.
+pub(super) type Surface<'a> = dyn Fn(TriangleId, [f64; 3]) -> Option<[f32; 3]> + Sync + 'a;
+
+/// Renders `mesh` with the colours of `surface`.
+pub(super) fn render_surface(
+    mesh: &TriMesh,
+    surface: &Surface<'_>,
+    camera: &PinholeCamera,
+    camera_from_world: &RigidTransform,
+    params: &RenderParams,
+) -> Result<RenderedView, ImageError> {
     let samples = params.supersampling.clamp(1, 4);
     let (width, height) = (camera.width(), camera.height());
     let fine = camera
@@ -71,8 +103,7 @@ pub fn render_textured(
 
     let shader = Shader {
         mesh,
-        layout,
-        texture,
+        surface,
         camera: fine,
         points_in_camera: camera_from_world.transform_points(mesh.positions_m()),
     };
@@ -95,8 +126,7 @@ pub fn render_textured(
 
 struct Shader<'a> {
     mesh: &'a TriMesh,
-    layout: &'a AtlasLayout,
-    texture: &'a AtlasTexture,
+    surface: &'a Surface<'a>,
     /// The camera of the samples.
     camera: PinholeCamera,
     points_in_camera: Vec<Point3<f64>>,
@@ -137,22 +167,12 @@ impl Shader<'_> {
 
     /// sRGB in 0–255 of the surface at a sample.
     fn sample(&self, triangle: TriangleId, [x, y]: [u32; 2]) -> Option<[f32; 3]> {
-        let corners_texel = self.layout.corners_texel.get(triangle.index())?;
-        let chart = self.layout.chart_of_triangle.get(triangle.index())?;
-        let page_index = self.layout.charts.get(chart.index())?.page;
-        let page = self.texture.pages.get(page_index as usize)?;
         let [a, b, c] = self.mesh.triangles()[triangle.index()].map(|v| v as usize);
         let points = &self.points_in_camera;
         let corners = [points[a], points[b], points[c]];
         let ray = self.camera.ray(f64::from(x), f64::from(y));
         let weights = inside(barycentric(&corners, &ray).unwrap_or([1.0 / 3.0; 3]));
-        #[expect(clippy::cast_possible_truncation, reason = "rounding to f32 is meant")]
-        let position_texel: [f32; 2] = std::array::from_fn(|axis| {
-            let terms: [f64; 3] =
-                std::array::from_fn(|i| weights[i] * f64::from(corners_texel[i][axis]));
-            (terms[0] + terms[1] + terms[2]) as f32
-        });
-        sample_page(page, position_texel)
+        (self.surface)(triangle, weights)
     }
 }
 
@@ -169,7 +189,7 @@ pub(crate) fn inside(weights: [f64; 3]) -> [f64; 3] {
     clippy::cast_sign_loss,
     reason = "clamped; float to int casts saturate"
 )]
-fn round_byte(value: f32) -> u8 {
+pub(super) fn round_byte(value: f32) -> u8 {
     (value + 0.5) as u8
 }
 

@@ -108,12 +108,17 @@ const COLUMNS: [[u8; 5]; 95] = [
     [0x02, 0x01, 0x02, 0x04, 0x02],
 ];
 
+/// The 5×7 dots of a character: columns from the left, lowest bit on top; '?' outside printable
+/// ASCII.
+pub(crate) fn dot_columns(character: char) -> [u8; 5] {
+    let index = (u32::from(character)).wrapping_sub(0x20) as usize;
+    *COLUMNS.get(index).unwrap_or(&COLUMNS[0x1f])
+}
+
 /// Strokes of a character as segments between dot centres, (0.5, 0.5) being the first dot; a
 /// lone dot is a segment of no length. Characters outside printable ASCII are drawn as '?'.
 pub(super) fn strokes(character: char) -> Vec<[[f64; 2]; 2]> {
-    let index = (u32::from(character)).wrapping_sub(0x20) as usize;
-    let question_mark = &COLUMNS[0x1f];
-    let columns = COLUMNS.get(index).unwrap_or(question_mark);
+    let columns = dot_columns(character);
     let lit = |x: i32, y: i32| {
         (0..5).contains(&x) && (0..7).contains(&y) && {
             let column = columns[x.unsigned_abs() as usize];

@@ -73,6 +73,8 @@ const MAX_HEADER_LINE_BYTES: usize = 1 << 14;
 pub(super) struct Header {
     pub(super) encoding: Encoding,
     pub(super) elements: Vec<Element>,
+    /// What `comment TextureFile` lines name, in order.
+    pub(super) texture_files: Vec<String>,
     pub(super) body_offset: usize,
 }
 
@@ -94,6 +96,7 @@ pub(super) fn parse(bytes: &[u8]) -> Result<Header, PlyError> {
     let (_, mut offset) = header_line(bytes, 0)?;
     let mut encoding = None;
     let mut elements: Vec<Element> = Vec::new();
+    let mut texture_files = Vec::new();
     for line_number in 2.. {
         let (line, next_offset) = header_line(bytes, offset)?;
         offset = next_offset;
@@ -106,6 +109,12 @@ pub(super) fn parse(bytes: &[u8]) -> Result<Header, PlyError> {
         };
         match words.as_slice() {
             ["end_header"] => break,
+            // Names may have blanks in them, so the rest of the line is taken as it is.
+            ["comment", "TextureFile", ..] => texture_files.extend(
+                text.split_once("TextureFile")
+                    .map(|(_, name)| name.trim().to_owned())
+                    .filter(|name| !name.is_empty()),
+            ),
             [] | ["comment" | "obj_info", ..] => {}
             ["format", format, "1.0"] => {
                 encoding = Some(match *format {
@@ -133,6 +142,7 @@ pub(super) fn parse(bytes: &[u8]) -> Result<Header, PlyError> {
     Ok(Header {
         encoding: encoding.ok_or(PlyError::Missing("format"))?,
         elements,
+        texture_files,
         body_offset: offset,
     })
 }
