@@ -138,6 +138,3 @@ fn read_bytes(path: &Path) -> Result<Vec<u8>, ModelFileError> {
         source,
     })
 }
-
-#[cfg(test)]
-mod tests;

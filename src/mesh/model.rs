@@ -248,7 +248,7 @@ mod tests {
         );
         assert!(refuse(&|p| p.triangles[0][1] = 9).contains('9'));
         assert!(refuse(&|p| p.vertex_srgb.push([0; 3])).contains("vertex colours"));
-        assert!(refuse(&|p| drop(p.corners_uv.pop())).contains("coordinates"));
+        assert!(refuse(&|p| p.corners_uv.truncate(1)).contains("coordinates"));
         let empty = TexturedModel::new(ModelParts::default()).unwrap_err();
         assert_eq!(empty, ModelError::Empty);
     }

@@ -287,7 +287,6 @@ impl BlockSpectrum {
 /// Weights of the half spectrum whose sum is the mean over all directions at one radius.
 #[expect(
     clippy::cast_possible_truncation,
-    clippy::cast_sign_loss,
     reason = "frequencies are at most half a block, and wrapped before they are indices"
 )]
 fn ring(radius: usize) -> Vec<(usize, f64)> {

@@ -119,7 +119,8 @@ pub struct PublishedRow {
 impl EvalScore {
     /// What `score` measured of `method`.
     pub fn new(method: &str, score: &MethodScore) -> Self {
-        let [dx, dy] = score.alignment.offset_px;
+        // The sum turns −0 into 0.
+        let [dx, dy] = score.alignment.offset_px.map(|offset| offset + 0.0);
         Self {
             method: method.to_owned(),
             alignment_px: [dx, dy],
