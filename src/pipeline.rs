@@ -8,6 +8,7 @@
 mod clock;
 mod held_out;
 pub mod progress;
+pub mod refine;
 pub mod run;
 pub mod scan;
 pub mod texture;
@@ -15,6 +16,7 @@ pub mod texture;
 pub use clock::StageClock;
 pub use held_out::{HeldOutParams, HeldOutView};
 pub use progress::{NoProgress, Progress};
+pub use refine::{RefineParams, RefineReport};
 pub use run::{PipelineError, PipelineParams, Run, StageTime, run};
 pub use scan::{Scan, gather};
 pub use texture::{Textured, texture_scan};
