@@ -37,6 +37,7 @@ pub mod ingest;
 pub mod keyframe;
 pub mod mesh;
 pub mod metrics;
+pub mod photometric;
 pub mod pipeline;
 pub mod render;
 pub mod report;

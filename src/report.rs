@@ -27,9 +27,9 @@ pub use eval::{EvalMeasures, EvalMethod, EvalReport, EvalScore, EvalView, Publis
 pub use repairs::{Repair, repairs};
 
 pub use data::{
-    AtlasSummary, ChartSummary, Count, CoverageSummary, DensitySummary, Drop, KeyframeRow, LossRow,
-    MeshSummary, Note, Report, Severity, SmoothSummary, SourceSummary, Stage, SyntheticScore,
-    TopicRow, ViewScore,
+    AtlasSummary, ChartSummary, Count, CoverageSummary, DensitySummary, Drop, GainSummary,
+    KeyframeRow, LossRow, MeshSummary, Note, RefineSummary, Report, SeamSummary, Severity,
+    SmoothSummary, SourceSummary, Stage, SyntheticScore, TopicRow, ViewScore,
 };
 
 /// Why a report could not be made.

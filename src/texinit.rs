@@ -232,28 +232,11 @@ pub fn texinit(
     let density_spread = DensitySpread::of(mesh, &layout);
     drop(charts);
 
-    observer.begin(Stage::Transfer, assignment.report.num_frames_used);
-    let (mut texture, transfer_report) = transfer::transfer(
-        mesh,
-        &layout,
-        &assignment,
-        frames,
-        decode,
-        &params.transfer,
-        &advance,
-    )?;
-
-    observer.begin(Stage::Fill, 0);
-    let fill_report = fill::fill_unseen(mesh, &layout, &mut texture, &params.fill)?;
-    let gutter_report = if params.has_gutters {
-        atlas::gutter::dilate_gutters(&layout, &mut texture)?
-    } else {
-        GutterReport::default()
-    };
+    let painted = paint(mesh, &layout, &assignment, frames, decode, params, observer)?;
 
     Ok(TexInit {
         layout,
-        texture,
+        texture: painted.texture,
         assignment,
         report: TexInitReport {
             flatten: flat.report,
@@ -262,10 +245,95 @@ pub fn texinit(
             pack: pack_report,
             wanted_texels_per_m,
             density_spread,
-            transfer: transfer_report,
-            fill: fill_report,
-            gutter: gutter_report,
+            transfer: painted.transfer,
+            fill: painted.fill,
+            gutter: painted.gutter,
         },
+    })
+}
+
+/// A texture on a layout that was there before, and how it came about.
+#[derive(Debug)]
+pub struct Repainted {
+    /// The pages. Sources name keyframes by [`crate::keyframe::KeyframeId`].
+    pub texture: AtlasTexture,
+    /// Which frame paints each triangle, as an index into the frames given.
+    pub assignment: Assignment,
+    /// Colour transfer.
+    pub transfer: TransferReport,
+    /// Filling.
+    pub fill: FillReport,
+    /// Gutter.
+    pub gutter: GutterReport,
+}
+
+/// Textures `mesh` anew on a layout made before: for other poses or colours of its frames.
+///
+/// # Errors
+/// [`TexInitError`] for a parameter out of range or a layout of another mesh. A frame that does not
+/// decode is no error: it is counted in the report.
+pub fn repaint(
+    mesh: &TriMesh,
+    layout: &AtlasLayout,
+    frames: &[Arc<Keyframe>],
+    decode: &Decode<'_>,
+    params: &TexInitParams,
+    observer: &dyn Observer,
+) -> Result<Repainted, TexInitError> {
+    let advance = |num_steps: usize| observer.advance(num_steps);
+    observer.begin(Stage::Assign, frames.len());
+    let assignment = assign::assign(mesh, frames, decode, &params.assign, &advance)?;
+    let painted = paint(mesh, layout, &assignment, frames, decode, params, observer)?;
+    Ok(Repainted {
+        texture: painted.texture,
+        assignment,
+        transfer: painted.transfer,
+        fill: painted.fill,
+        gutter: painted.gutter,
+    })
+}
+
+struct Painted {
+    texture: AtlasTexture,
+    transfer: TransferReport,
+    fill: FillReport,
+    gutter: GutterReport,
+}
+
+/// Transfer, fill and gutter.
+fn paint(
+    mesh: &TriMesh,
+    layout: &AtlasLayout,
+    assignment: &Assignment,
+    frames: &[Arc<Keyframe>],
+    decode: &Decode<'_>,
+    params: &TexInitParams,
+    observer: &dyn Observer,
+) -> Result<Painted, TexInitError> {
+    let advance = |num_steps: usize| observer.advance(num_steps);
+    observer.begin(Stage::Transfer, assignment.report.num_frames_used);
+    let (mut texture, transfer) = transfer::transfer(
+        mesh,
+        layout,
+        assignment,
+        frames,
+        decode,
+        &params.transfer,
+        &advance,
+    )?;
+
+    observer.begin(Stage::Fill, 0);
+    let fill = fill::fill_unseen(mesh, layout, &mut texture, &params.fill)?;
+    let gutter = if params.has_gutters {
+        atlas::gutter::dilate_gutters(layout, &mut texture)?
+    } else {
+        GutterReport::default()
+    };
+    Ok(Painted {
+        texture,
+        transfer,
+        fill,
+        gutter,
     })
 }
 

@@ -132,6 +132,16 @@ impl ColorImage {
         self.pixels[y * self.width as usize + x]
     }
 
+    /// The image of the same size with `map` applied to each pixel.
+    #[must_use]
+    pub fn mapped(&self, map: impl Fn([u8; 3]) -> [u8; 3]) -> Self {
+        Self {
+            width: self.width,
+            height: self.height,
+            pixels: self.pixels.iter().map(|pixel| map(*pixel)).collect(),
+        }
+    }
+
     /// Blocks of `factor`×`factor` pixels averaged in linear light; columns and rows that do not
     /// fill a block are left out. Its camera: [`super::PinholeCamera::reduced`].
     #[must_use]

@@ -5,12 +5,14 @@ use std::sync::Arc;
 use super::clock::StageClock;
 use super::held_out::{self, HeldOutParams, HeldOutView};
 use super::progress::Progress;
+use super::refine::{RefineParams, RefineReport};
 use super::scan::gather;
 use super::texture::{Textured, texture_scan};
 use crate::ingest::{EventSource, IngestParams, IngestReport};
 use crate::keyframe::{Keyframe, KeyframeParams, KeyframeReport};
 use crate::mesh::weld::WeldError;
 use crate::mesh::{MeshError, TriMesh};
+use crate::photometric::PhotometricError;
 use crate::texinit::{TexInit, TexInitError, TexInitParams};
 use crate::texsmooth::{SmoothError, SmoothReport, TexSmoothParams};
 
@@ -27,6 +29,8 @@ pub struct PipelineParams {
     pub num_subdivisions: u32,
     /// From frames and mesh to a texture.
     pub texinit: TexInitParams,
+    /// Gains of keyframes and levelled seams.
+    pub refine: RefineParams,
     /// From an initial texture to a sharp one.
     pub texsmooth: TexSmoothParams,
     /// A checkpoint of the optimisation to go on from.
@@ -53,6 +57,9 @@ pub enum PipelineError {
     /// The texture could not be made.
     #[error(transparent)]
     TexInit(#[from] TexInitError),
+    /// Gains or seams could not be worked on.
+    #[error(transparent)]
+    Photometric(#[from] PhotometricError),
     /// The texture could not be refined.
     #[error(transparent)]
     TexSmooth(#[from] SmoothError),
@@ -76,6 +83,8 @@ pub struct Run {
     pub keyframes: Vec<Arc<Keyframe>>,
     /// The texture and how it came about.
     pub texinit: TexInit,
+    /// What gains and seam levelling did.
+    pub refine: RefineReport,
     /// How the optimisation went; `None` where none was asked for.
     pub texsmooth: Option<SmoothReport>,
     /// Keyframes that were held back, beside the rendering.
@@ -110,7 +119,11 @@ pub fn run(
     let keyframes = std::mem::take(&mut scan.keyframes);
     let (painting, judging) = held_out::split(keyframes, &params.held_out);
 
-    let Textured { texinit, texsmooth } = texture_scan(&scan, &painting, params, &clock)?;
+    let Textured {
+        texinit,
+        refine,
+        texsmooth,
+    } = texture_scan(&scan, &painting, params, &clock)?;
 
     clock.begin("render held-out views", judging.len());
     let held_out = held_out::render_views(
@@ -126,6 +139,7 @@ pub fn run(
         mesh: scan.mesh,
         keyframes: painting,
         texinit,
+        refine,
         texsmooth,
         held_out,
         ingest: scan.ingest,

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use super::clock::StageClock;
+use super::refine::{self, RefineReport};
 use super::run::{PipelineError, PipelineParams};
 use super::scan::Scan;
 use crate::keyframe::Keyframe;
@@ -14,6 +15,8 @@ use crate::texsmooth::{self, SmoothFrom, SmoothReport};
 pub struct Textured {
     /// The layout, the texture and how they came about.
     pub texinit: TexInit,
+    /// What gains and seam levelling did.
+    pub refine: RefineReport,
     /// How the optimisation went; `None` where none was asked for.
     pub texsmooth: Option<SmoothReport>,
 }
@@ -29,8 +32,27 @@ pub fn texture_scan(
     params: &PipelineParams,
     clock: &StageClock<'_>,
 ) -> Result<Textured, PipelineError> {
-    let decode = |keyframe: &Keyframe| scan.decode(keyframe);
+    let recorded = |keyframe: &Keyframe| scan.decode(keyframe);
+    let mut refined = RefineReport::default();
+    let gains = refine::gains(
+        &scan.mesh,
+        painting,
+        &recorded,
+        &params.refine,
+        clock,
+        &mut refined,
+    )?;
+    let corrected = refine::corrected(&recorded, &gains, &params.refine);
+    let decode = |keyframe: &Keyframe| corrected.decode(keyframe);
     let mut texinit = texinit(&scan.mesh, painting, &decode, &params.texinit, clock)?;
+    refine::level(
+        &scan.mesh,
+        painting,
+        &mut texinit,
+        params,
+        clock,
+        &mut refined,
+    )?;
     let texsmooth = if params.texsmooth.num_steps > 0 {
         clock.begin("refine the texture", params.texsmooth.num_steps);
         let from = match &params.smooth_from {
@@ -51,5 +73,9 @@ pub fn texture_scan(
     } else {
         None
     };
-    Ok(Textured { texinit, texsmooth })
+    Ok(Textured {
+        texinit,
+        refine: refined,
+        texsmooth,
+    })
 }

@@ -43,12 +43,65 @@ pub struct Report {
     pub keyframes: Vec<KeyframeRow>,
     /// Views of the result beside photos.
     pub views: Vec<ViewScore>,
+    /// Gains and seams; `None` where neither was asked for.
+    pub refine: Option<RefineSummary>,
     /// How the optimisation went, where there was one.
     pub texsmooth: Option<SmoothSummary>,
     /// Against a known texture, where there is one.
     pub synthetic: Option<SyntheticScore>,
     /// Every parameter as it was used.
     pub parameters: serde_json::Value,
+}
+
+/// What gains and seam levelling did; numbers are of linear light.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct RefineSummary {
+    /// Gains of keyframes, where they were asked for.
+    pub gain: Option<GainSummary>,
+    /// Seams, where they were levelled.
+    pub seams: Option<SeamSummary>,
+}
+
+/// Gains of keyframes.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct GainSummary {
+    /// Points of the surface that two keyframes or more see.
+    pub num_points: usize,
+    /// Their colours that were compared.
+    pub num_samples: usize,
+    /// Keyframes that share no point with another.
+    pub num_unlinked: usize,
+    /// Median absolute difference of log light between keyframes before.
+    pub median_before: f64,
+    /// The same after.
+    pub median_after: f64,
+    /// Smallest and largest factor.
+    pub factor_range: [f32; 2],
+    /// Keyframe, and its factors for red, green and blue.
+    pub factors: Vec<(u32, [f32; 3])>,
+    /// Wall time, seconds.
+    pub seconds: f64,
+}
+
+/// Levelled seams.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct SeamSummary {
+    /// Edges between two keyframes.
+    pub num_seams: usize,
+    /// Corrections that were solved for.
+    pub num_unknowns: usize,
+    /// Steps of the solver.
+    pub num_solver_steps: usize,
+    /// Mean absolute step at them before.
+    pub step_before: f64,
+    /// After levelling over regions.
+    pub step_after_global: f64,
+    /// After all.
+    pub step_after: f64,
+    /// Texels that changed.
+    pub num_changed_texels: usize,
+    /// Wall time, seconds.
+    pub seconds: f64,
 }
 
 /// How TexSmooth went.

@@ -2,7 +2,7 @@
 
 use serde_json::Value;
 
-use super::data::{Count, KeyframeRow, Report, SmoothSummary};
+use super::data::{Count, KeyframeRow, RefineSummary, Report, SmoothSummary};
 use super::html::{escape, push, section};
 use super::repairs::Repair;
 
@@ -208,6 +208,12 @@ pub(super) fn result(report: &Report) -> String {
         "Atlas and coverage",
         &table(&plain, &atlas_rows(report)),
     ));
+    if let Some(refine) = &report.refine {
+        cards.push_str(&card(
+            "Exposure and seams",
+            &table(&plain, &refine_rows(refine)),
+        ));
+    }
     if let Some(smooth) = &report.texsmooth {
         cards.push_str(&card("TexSmooth", &table(&plain, &smooth_rows(smooth))));
     }
@@ -248,6 +254,38 @@ pub(super) fn result(report: &Report) -> String {
         "Lengths in metres, colours as sRGB bytes.",
         &format!("<div class=\"cards\">{cards}</div>"),
     )
+}
+
+fn refine_rows(refine: &RefineSummary) -> Vec<Vec<String>> {
+    let mut rows = vec![];
+    if let Some(gain) = &refine.gain {
+        let [low, high] = gain.factor_range;
+        rows.extend([
+            pair("surface points compared", gain.num_points.to_string()),
+            pair("colours of them", gain.num_samples.to_string()),
+            pair("gains of keyframes", format!("{low:.3} to {high:.3}")),
+            pair(
+                "median difference between keyframes",
+                format!(
+                    "{:.1} %, was {:.1} %",
+                    100.0 * gain.median_after,
+                    100.0 * gain.median_before
+                ),
+            ),
+            pair("time for gains", format!("{:.1} s", gain.seconds)),
+        ]);
+    }
+    if let Some(seams) = &refine.seams {
+        rows.extend([
+            pair("edges between keyframes", seams.num_seams.to_string()),
+            pair(
+                "mean step at them, linear",
+                format!("{:.4}, was {:.4}", seams.step_after, seams.step_before),
+            ),
+            pair("time for seams", format!("{:.1} s", seams.seconds)),
+        ]);
+    }
+    rows
 }
 
 fn repairs_card(repairs: &[Repair]) -> String {

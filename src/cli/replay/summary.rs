@@ -6,10 +6,11 @@ use crate::bag::BagReader;
 use crate::config::{Config, tree};
 use crate::ingest::EventSource;
 use crate::keyframe::Keyframe;
-use crate::pipeline::Run;
+use crate::pipeline::{RefineReport, Run};
 use crate::report::{
-    ChartSummary, Count, DensitySummary, Drop, KeyframeRow, LossRow, MeshSummary, Note, Report,
-    Severity, SmoothSummary, SourceSummary, Stage, TopicRow, repairs,
+    ChartSummary, Count, DensitySummary, Drop, GainSummary, KeyframeRow, LossRow, MeshSummary,
+    Note, RefineSummary, Report, SeamSummary, Severity, SmoothSummary, SourceSummary, Stage,
+    TopicRow, repairs,
 };
 use crate::texsmooth::SmoothReport;
 
@@ -41,10 +42,35 @@ pub(super) fn of_run(run: &Run, path: &Path, bag: &BagReader, config: &Config) -
             &run.texinit.assignment.best_texels_per_m,
         ),
         keyframes: keyframe_rows(&run.keyframes),
+        refine: refine_summary(&run.refine),
         texsmooth: run.texsmooth.as_ref().map(smooth_summary),
         parameters: tree::to_json(&mut config.clone()),
         ..Report::default()
     }
+}
+
+fn refine_summary(report: &RefineReport) -> Option<RefineSummary> {
+    let gain = report.gain.as_ref().map(|(table, gain)| GainSummary {
+        num_points: gain.num_points,
+        num_samples: gain.num_samples,
+        num_unlinked: gain.num_unlinked,
+        median_before: gain.median_before,
+        median_after: gain.median_after,
+        factor_range: gain.factor_range,
+        factors: table.iter().map(|(id, factors)| (id.0, factors)).collect(),
+        seconds: report.seconds[0],
+    });
+    let seams = report.seams.as_ref().map(|seams| SeamSummary {
+        num_seams: seams.num_seams,
+        num_unknowns: seams.num_unknowns,
+        num_solver_steps: seams.num_solver_steps,
+        step_before: seams.step_before,
+        step_after_global: seams.step_after_global,
+        step_after: seams.step_after,
+        num_changed_texels: seams.num_changed_texels,
+        seconds: report.seconds[1],
+    });
+    (gain.is_some() || seams.is_some()).then_some(RefineSummary { gain, seams })
 }
 
 fn smooth_summary(report: &SmoothReport) -> SmoothSummary {

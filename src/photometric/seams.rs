@@ -1,0 +1,144 @@
+//! Seam levelling: no step where the frame that paints changes.
+//!
+//! After Waechter, Moehrle, Goesele, "Let there be color!", ECCV 2014, with steps in linear light
+//! and read from the texture just inside either triangle. Globally: every vertex has a correction
+//! per label around it, such that corrections make up for the step at seams and vary little
+//! within a label; a weak pull to 0 keeps what lies farther than [`SeamParams::reach_m`] from a
+//! seam as it is. Corrections are interpolated over triangles and added. Locally: what step is left
+//! is halved onto both sides, and fades out within a few texels.
+//!
+//! Only texels that show the frame of their triangle's label change. Steps above
+//! [`SeamParams::max_step`] are taken for different things, not for light, and stay.
+
+mod apply;
+mod global;
+mod local;
+mod nodes;
+mod samples;
+
+use crate::atlas::{AtlasLayout, AtlasTexture, TexelSource};
+use crate::mesh::TriMesh;
+
+use super::{PhotometricError, check};
+use apply::Painter;
+use nodes::Nodes;
+use samples::{find_seams, mean_step};
+
+/// How seams are levelled.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SeamParams {
+    /// Whether whole regions are levelled.
+    pub has_global: bool,
+    /// Whether narrow bands are.
+    pub has_local: bool,
+    /// How far from a seam the global correction reaches, metres (> 0).
+    pub reach_m: f64,
+    /// Weight of steps against the smoothness of corrections (> 0).
+    pub step_weight: f64,
+    /// Width of the band on either side of a seam, texels (> 0).
+    pub band_texel: f64,
+    /// Larger steps of linear light stay as they are (> 0).
+    pub max_step: f64,
+}
+
+impl Default for SeamParams {
+    fn default() -> Self {
+        Self {
+            has_global: true,
+            has_local: true,
+            reach_m: 0.5,
+            step_weight: 1.0,
+            band_texel: 6.0,
+            max_step: 0.25,
+        }
+    }
+}
+
+/// What levelling did.
+#[derive(Clone, Copy, Debug, PartialEq, Default)]
+pub struct SeamReport {
+    /// Edges of the mesh between two labels.
+    pub num_seams: usize,
+    /// Corrections that were solved for.
+    pub num_unknowns: usize,
+    /// Steps of conjugate gradients.
+    pub num_solver_steps: usize,
+    /// Mean absolute step of linear light at seams, by length, before; without those left alone.
+    pub step_before: f64,
+    /// After the global correction.
+    pub step_after_global: f64,
+    /// After both.
+    pub step_after: f64,
+    /// Texels that changed; those of both passes count twice.
+    pub num_changed_texels: usize,
+}
+
+/// Levels the seams of `texture`. `labels` has the frame of each triangle as an index into
+/// `sources`, the texel sources of the frames. Gutters are left for the caller to paint again.
+///
+/// # Errors
+/// [`PhotometricError`] for a parameter out of range, or inputs that do not belong together.
+pub fn level_seams(
+    mesh: &TriMesh,
+    layout: &AtlasLayout,
+    labels: &[Option<u32>],
+    sources: &[TexelSource],
+    params: &SeamParams,
+    texture: &mut AtlasTexture,
+) -> Result<SeamReport, PhotometricError> {
+    check("reach of seam levelling", params.reach_m, 1e-6..=1e6)?;
+    check("weight of seam steps", params.step_weight, 1e-6..=1e6)?;
+    check("band of seam levelling", params.band_texel, 1e-3..=1e4)?;
+    check("largest seam step", params.max_step, 1e-6..=2.0)?;
+    let num_triangles = mesh.num_triangles();
+    let num_in_layout = layout
+        .corners_texel
+        .len()
+        .min(layout.chart_of_triangle.len());
+    if labels.len() != num_triangles || num_in_layout != num_triangles {
+        return Err(PhotometricError::Mismatch {
+            num_triangles,
+            num_in_layout,
+            num_labels: labels.len(),
+        });
+    }
+    texture.check_fits(layout)?;
+    let source_of = |label: u32| sources.get(label as usize).copied();
+    let source_of_triangle: Vec<Option<TexelSource>> = labels
+        .iter()
+        .map(|label| label.and_then(source_of))
+        .collect();
+
+    let nodes = Nodes::new(mesh, labels);
+    let mut seams = find_seams(mesh, layout, labels, &source_of_triangle)?;
+    let mut report = SeamReport {
+        num_seams: seams.len(),
+        num_unknowns: nodes.len(),
+        ..SeamReport::default()
+    };
+    let painter = Painter {
+        layout,
+        source_of_triangle: &source_of_triangle,
+    };
+    let sample = |seams: &mut Vec<samples::Seam>, texture: &AtlasTexture| {
+        samples::sample(seams, layout, &source_of_triangle, texture, params.max_step);
+        mean_step(seams)
+    };
+    report.step_before = sample(&mut seams, texture);
+    report.step_after_global = report.step_before;
+    if params.has_global && !seams.is_empty() {
+        let (corrections, num_steps) = global::solve(mesh, &nodes, &seams, params);
+        report.num_solver_steps = num_steps;
+        report.num_changed_texels += global::paint(&painter, &nodes, &corrections, texture);
+        report.step_after_global = sample(&mut seams, texture);
+    }
+    report.step_after = report.step_after_global;
+    if params.has_local && !seams.is_empty() {
+        report.num_changed_texels += local::level(mesh, &painter, &nodes, &seams, params, texture);
+        report.step_after = sample(&mut seams, texture);
+    }
+    Ok(report)
+}
+
+#[cfg(test)]
+mod tests;

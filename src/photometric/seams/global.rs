@@ -1,0 +1,200 @@
+//! A correction per vertex and label.
+
+use crate::atlas::AtlasTexture;
+use crate::mesh::TriMesh;
+
+use super::super::conjugate::{self, Stop};
+use super::SeamParams;
+use super::apply::Painter;
+use super::nodes::{NO_NODE, Nodes};
+use super::samples::Seam;
+
+/// Corrections below this are nothing that a byte could show.
+const MIN_CORRECTION: f32 = 1e-4;
+
+/// Two nodes, the weight of their difference, and what it should be.
+struct Link {
+    from: u32,
+    to: u32,
+    weight: f64,
+    /// What the second should have more than the first.
+    wanted: [f64; 3],
+}
+
+/// Solves for the corrections; the second is the number of solver steps.
+pub(super) fn solve(
+    mesh: &TriMesh,
+    nodes: &Nodes,
+    seams: &[Seam],
+    params: &SeamParams,
+) -> (Vec<[f32; 3]>, usize) {
+    let mut links = smoothness(nodes);
+    // Edges of a regular mesh: each node has half of six, along which a unit gradient shows by half.
+    let pull = 1.5 * (mean_edge_m(mesh) / params.reach_m).powi(2);
+    for seam in seams {
+        links.extend(steps(nodes, seam, params.step_weight));
+    }
+    let laplacian = Laplacian::new(nodes.len(), &links, pull);
+    let mut rhs = vec![[0.0; 3]; nodes.len()];
+    for link in &links {
+        for c in 0..3 {
+            rhs[link.from as usize][c] -= link.weight * link.wanted[c];
+            rhs[link.to as usize][c] += link.weight * link.wanted[c];
+        }
+    }
+    let mut x = vec![[0.0; 3]; nodes.len()];
+    let stop = Stop {
+        tolerance: 1e-4,
+        max_steps: 1000,
+    };
+    let num_steps = conjugate::solve(
+        |x, out| laplacian.apply(x, out),
+        &laplacian.diagonal,
+        &rhs,
+        &mut x,
+        &stop,
+    );
+    #[expect(clippy::cast_possible_truncation, reason = "rounding to f32 is meant")]
+    let corrections = x.iter().map(|g| g.map(|value| value as f32)).collect();
+    (corrections, num_steps)
+}
+
+/// Adds the corrections; returns how many texels changed.
+pub(super) fn paint(
+    painter: &Painter<'_>,
+    nodes: &Nodes,
+    corrections: &[[f32; 3]],
+    texture: &mut AtlasTexture,
+) -> usize {
+    painter.paint(texture, |triangle| {
+        let corners = nodes.of(triangle);
+        if corners.contains(&NO_NODE) {
+            return None;
+        }
+        let corners = corners.map(|node| corrections[node as usize]);
+        let is_seen = corners.iter().flatten().any(|g| g.abs() > MIN_CORRECTION);
+        is_seen.then_some(move |weights: [f32; 3]| {
+            let mix = |c: usize| (0..3).map(|k| weights[k] * corners[k][c]).sum();
+            Some(std::array::from_fn(mix))
+        })
+    })
+}
+
+/// Sides of triangles, each once.
+fn smoothness(nodes: &Nodes) -> Vec<Link> {
+    let mut pairs: Vec<(u32, u32)> = nodes
+        .all()
+        .iter()
+        .filter(|corners| !corners.contains(&NO_NODE))
+        .flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)])
+        .filter(|(a, b)| a != b)
+        .map(|(a, b)| (a.min(b), a.max(b)))
+        .collect();
+    pairs.sort_unstable();
+    pairs.dedup();
+    let link = |(from, to)| Link {
+        from,
+        to,
+        weight: 1.0,
+        wanted: [0.0; 3],
+    };
+    pairs.into_iter().map(link).collect()
+}
+
+/// At each end of the seam: the mean step, samples counting the less the farther they are from it.
+fn steps(nodes: &Nodes, seam: &Seam, step_weight: f64) -> impl Iterator<Item = Link> {
+    let corners = seam
+        .sides
+        .map(|side| (nodes.of(side.triangle), side.corners));
+    [0, 1].into_iter().filter_map(move |end| {
+        let [from, to] = corners.map(|(nodes, corners)| nodes[corners[end]]);
+        let mut total = 0.0;
+        let mut sum = [0.0; 3];
+        for (k, step) in seam.steps.iter().enumerate() {
+            let Some(step) = step else { continue };
+            let share = seam.share_of(k);
+            let nearness = if end == 0 { 1.0 - share } else { share };
+            total += nearness;
+            for c in 0..3 {
+                sum[c] -= nearness * f64::from(step[c]);
+            }
+        }
+        let usable = total / seam.steps.len() as f64;
+        (usable > 0.0 && from != NO_NODE && to != NO_NODE && from != to).then(|| Link {
+            from,
+            to,
+            weight: step_weight * usable,
+            wanted: sum.map(|sum| sum / total),
+        })
+    })
+}
+
+fn mean_edge_m(mesh: &TriMesh) -> f64 {
+    let (mut sum_m, mut num_sides) = (0.0, 0.0);
+    for triangle in mesh.triangle_ids() {
+        let [a, b, c] = mesh.corners_m(triangle);
+        sum_m += (b - a).norm() + (c - b).norm() + (a - c).norm();
+        num_sides += 3.0;
+    }
+    if num_sides > 0.0 {
+        sum_m / num_sides
+    } else {
+        0.0
+    }
+}
+
+/// Links as compressed rows.
+struct Laplacian {
+    diagonal: Vec<f64>,
+    row_starts: Vec<usize>,
+    columns: Vec<u32>,
+    weights: Vec<f64>,
+}
+
+impl Laplacian {
+    fn new(size: usize, links: &[Link], pull: f64) -> Self {
+        let ends = || {
+            links
+                .iter()
+                .flat_map(|l| [(l.from, l.to, l.weight), (l.to, l.from, l.weight)])
+        };
+        // Above zero whatever the mesh's size, so that a node without links has something to divide by.
+        let mut diagonal = vec![pull.max(1e-9); size];
+        let mut row_starts = vec![0; size + 1];
+        for (row, _, weight) in ends() {
+            diagonal[row as usize] += weight;
+            row_starts[row as usize + 1] += 1;
+        }
+        for row in 0..size {
+            row_starts[row + 1] += row_starts[row];
+        }
+        let mut cursor = row_starts.clone();
+        let mut columns = vec![0; 2 * links.len()];
+        let mut weights = vec![0.0; 2 * links.len()];
+        for (row, column, weight) in ends() {
+            let slot = &mut cursor[row as usize];
+            columns[*slot] = column;
+            weights[*slot] = weight;
+            *slot += 1;
+        }
+        Self {
+            diagonal,
+            row_starts,
+            columns,
+            weights,
+        }
+    }
+
+    fn apply(&self, x: &[[f64; 3]], out: &mut [[f64; 3]]) {
+        for (row, out) in out.iter_mut().enumerate() {
+            let mut sum = x[row].map(|value| value * self.diagonal[row]);
+            for k in self.row_starts[row]..self.row_starts[row + 1] {
+                let other = &x[self.columns[k] as usize];
+                for c in 0..3 {
+                    sum[c] -= self.weights[k] * other[c];
+                }
+            }
+            *out = sum;
+        }
+    }
+}

@@ -1,0 +1,209 @@
+//! Edges between labels, and the colours on their two sides.
+
+use rayon::prelude::*;
+
+use crate::atlas::{AtlasLayout, AtlasTexture, TexelSource};
+use crate::geom::color::linear_from_srgb;
+use crate::mesh::adjacency::EdgeTable;
+use crate::mesh::{TriMesh, TriangleId};
+
+use super::super::PhotometricError;
+
+/// Samples along an edge.
+const MIN_SAMPLES: usize = 3;
+const MAX_SAMPLES: usize = 48;
+
+/// Texels of an edge for each sample.
+const TEXELS_PER_SAMPLE: f32 = 1.5;
+
+/// How far inside a triangle colours are read, texels; from both the colour at the edge is
+/// extrapolated, so that a gradient across it is no step.
+const NEAR_TEXEL: f32 = 0.75;
+const FAR_TEXEL: f32 = 2.25;
+
+/// One side of a seam.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Side {
+    pub(super) triangle: u32,
+    /// The triangle's corners at the seam's start and end.
+    pub(super) corners: [usize; 2],
+}
+
+/// An edge between triangles of two labels.
+#[derive(Clone, Debug)]
+pub(super) struct Seam {
+    pub(super) sides: [Side; 2],
+    /// Its vertices.
+    pub(super) ends: [u32; 2],
+    pub(super) length_m: f64,
+    num_samples: usize,
+    /// Colour of the second side less that of the first, linear, at (k + ½) / n of the way; `None`
+    /// where one side is not there or the step is too large.
+    pub(super) steps: Vec<Option<[f32; 3]>>,
+}
+
+impl Seam {
+    /// Share of the way from start to end of a sample.
+    pub(super) fn share_of(&self, sample: usize) -> f64 {
+        (sample as f64 + 0.5) / self.num_samples as f64
+    }
+}
+
+/// The seams in the order of the edges; of edges with more than two triangles, between each and
+/// the next.
+pub(super) fn find_seams(
+    mesh: &TriMesh,
+    layout: &AtlasLayout,
+    labels: &[Option<u32>],
+    source_of_triangle: &[Option<TexelSource>],
+) -> Result<Vec<Seam>, PhotometricError> {
+    let table = EdgeTable::new(mesh.triangles(), mesh.num_vertices())?;
+    let mut seams = Vec::new();
+    for half_edges in table.edges() {
+        for pair in half_edges.windows(2) {
+            let triangles = [pair[0] / 3, pair[1] / 3].map(|t| t as usize);
+            let is_seam = labels[triangles[0]] != labels[triangles[1]]
+                && triangles.iter().all(|t| source_of_triangle[*t].is_some());
+            if is_seam {
+                seams.push(seam(mesh, layout, [pair[0], pair[1]]));
+            }
+        }
+    }
+    Ok(seams)
+}
+
+fn seam(mesh: &TriMesh, layout: &AtlasLayout, half_edges: [u32; 2]) -> Seam {
+    let side = |half_edge: u32| {
+        let corner = half_edge as usize % 3;
+        Side {
+            triangle: half_edge / 3,
+            corners: [corner, (corner + 1) % 3],
+        }
+    };
+    let mut sides = half_edges.map(side);
+    let vertex =
+        |side: &Side, end: usize| mesh.triangles()[side.triangle as usize][side.corners[end]];
+    let ends = [0, 1].map(|end| vertex(&sides[0], end));
+    if vertex(&sides[1], 0) != ends[0] {
+        sides[1].corners.reverse();
+    }
+    let [start_m, end_m] = ends.map(|v| mesh.positions_m()[v as usize]);
+    let length_texel = sides
+        .iter()
+        .map(|side| {
+            let corners = &layout.corners_texel[side.triangle as usize];
+            let [a, b] = side.corners.map(|k| corners[k]);
+            (b[0] - a[0]).hypot(b[1] - a[1])
+        })
+        .fold(0.0, f32::max);
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "clamped; a float that is not finite becomes 0 or the largest"
+    )]
+    let num_samples = ((length_texel / TEXELS_PER_SAMPLE) as usize).clamp(MIN_SAMPLES, MAX_SAMPLES);
+    Seam {
+        sides,
+        ends,
+        length_m: (end_m - start_m).norm(),
+        num_samples,
+        steps: vec![None; num_samples],
+    }
+}
+
+/// Reads the steps of all seams anew.
+pub(super) fn sample(
+    seams: &mut [Seam],
+    layout: &AtlasLayout,
+    source_of_triangle: &[Option<TexelSource>],
+    texture: &AtlasTexture,
+    max_step: f64,
+) {
+    seams.par_iter_mut().for_each(|seam| {
+        for k in 0..seam.num_samples {
+            let share = seam.share_of(k);
+            let color = |side: &Side| {
+                let source = source_of_triangle[side.triangle as usize]?;
+                color_at_edge(side, share, layout, source, texture)
+            };
+            let [first, second] = &seam.sides;
+            let step = color(first)
+                .zip(color(second))
+                .map(|(first, second)| std::array::from_fn(|c| second[c] - first[c]));
+            seam.steps[k] =
+                step.filter(|step: &[f32; 3]| step.iter().all(|s| f64::from(s.abs()) <= max_step));
+        }
+    });
+}
+
+/// The colour of a side at its edge; `None` where its label does not show there.
+fn color_at_edge(
+    side: &Side,
+    share: f64,
+    layout: &AtlasLayout,
+    source: TexelSource,
+    texture: &AtlasTexture,
+) -> Option<[f32; 3]> {
+    let corners = &layout.corners_texel[side.triangle as usize];
+    let page = texture
+        .pages
+        .get(layout.page_of(TriangleId(side.triangle)) as usize)?;
+    let [start, end] = side.corners.map(|k| corners[k]);
+    let apex = corners[3 - side.corners[0] - side.corners[1]];
+    #[expect(clippy::cast_possible_truncation, reason = "rounding to f32 is meant")]
+    let share = share as f32;
+    let edge = [0, 1].map(|axis| start[axis] + (end[axis] - start[axis]) * share);
+    let along = [end[0] - start[0], end[1] - start[1]];
+    let across = [apex[0] - start[0], apex[1] - start[1]];
+    let height_texel =
+        (along[0] * across[1] - along[1] * across[0]).abs() / along[0].hypot(along[1]);
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "negative and not finite ones become 0, large ones are not on the page"
+    )]
+    let inside = |depth_texel: f32| -> Option<[f32; 3]> {
+        let part = depth_texel / height_texel;
+        let [x, y] = [0, 1].map(|axis| edge[axis] + (apex[axis] - edge[axis]) * part);
+        let (x, y) = (x as u32, y as u32);
+        if x >= page.width || y >= page.height {
+            return None;
+        }
+        let index = y as usize * page.width as usize + x as usize;
+        (page.source[index] == source).then(|| page.srgb[index].map(linear_from_srgb))
+    };
+    if height_texel.is_nan() || height_texel < 1.0 {
+        return None;
+    }
+    let near = inside(NEAR_TEXEL)?;
+    if height_texel < 1.5 * FAR_TEXEL {
+        return Some(near);
+    }
+    let Some(far) = inside(FAR_TEXEL) else {
+        return Some(near);
+    };
+    let slope = NEAR_TEXEL / (FAR_TEXEL - NEAR_TEXEL);
+    Some(std::array::from_fn(|c| {
+        near[c] - (far[c] - near[c]) * slope
+    }))
+}
+
+/// Mean absolute step, seams weighted by length: of each seam the step of its mean colours.
+pub(super) fn mean_step(seams: &[Seam]) -> f64 {
+    let (mut sum, mut total_m) = (0.0, 0.0);
+    for seam in seams {
+        let mut mean = [0.0; 3];
+        let mut num_valid = 0.0;
+        for step in seam.steps.iter().flatten() {
+            num_valid += 1.0;
+            for c in 0..3 {
+                mean[c] += f64::from(step[c]);
+            }
+        }
+        if num_valid > 0.0 {
+            sum += seam.length_m * mean.iter().map(|m| (m / num_valid).abs()).sum::<f64>() / 3.0;
+            total_m += seam.length_m;
+        }
+    }
+    if total_m > 0.0 { sum / total_m } else { 0.0 }
+}
