@@ -3,6 +3,7 @@
 //!
 //! - [`gain`]: keyframes + mesh → a gain per keyframe and channel, in linear light, so that all
 //!   show a surface point in the same colour; [`corrected`] applies it to decoded frames.
+//! - [`pose`]: photos beside renderings → cameras turned by a fraction of a degree.
 //! - [`seams`]: a painted texture → the same with the steps between labels levelled, over whole
 //!   regions and then within a narrow band.
 //!
@@ -13,14 +14,17 @@ mod conjugate;
 pub mod corrected;
 pub mod gain;
 mod points;
+pub mod pose;
 pub mod seams;
 
 pub use corrected::CorrectedFrames;
 pub use gain::{GainParams, GainReport, GainTable, estimate_gains};
+pub use pose::{PoseMeasure, PoseParams, measure_poses, turned};
 pub use seams::{SeamParams, SeamReport, level_seams};
 
 use crate::atlas::texture::TextureMismatch;
 use crate::mesh::MeshError;
+use crate::texsmooth::align::AlignError;
 
 /// Why nothing was refined.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -46,6 +50,9 @@ pub enum PhotometricError {
     /// The texture was not made for the layout.
     #[error(transparent)]
     Texture(#[from] TextureMismatch),
+    /// The alignment's settings are out of range.
+    #[error("alignment: {0}")]
+    Align(#[from] AlignError),
     /// The mesh has more sides than 32 bits can number.
     #[error(transparent)]
     Mesh(#[from] MeshError),

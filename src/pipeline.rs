@@ -8,6 +8,7 @@
 mod clock;
 mod held_out;
 mod pose_noise;
+mod pose_rounds;
 pub mod progress;
 pub mod refine;
 pub mod run;
@@ -17,6 +18,7 @@ pub mod texture;
 pub use clock::StageClock;
 pub use held_out::{HeldOutParams, HeldOutView};
 pub use pose_noise::with_pose_noise;
+pub use pose_rounds::PoseReport;
 pub use progress::{NoProgress, Progress};
 pub use refine::{RefineParams, RefineReport};
 pub use run::{PipelineError, PipelineParams, Run, StageTime, run};

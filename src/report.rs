@@ -28,8 +28,8 @@ pub use repairs::{Repair, repairs};
 
 pub use data::{
     AtlasSummary, ChartSummary, Count, CoverageSummary, DensitySummary, Drop, GainSummary,
-    KeyframeRow, LossRow, MeshSummary, Note, RefineSummary, Report, SeamSummary, Severity,
-    SmoothSummary, SourceSummary, Stage, SyntheticScore, TopicRow, ViewScore,
+    KeyframeRow, LossRow, MeshSummary, Note, PoseSummary, RefineSummary, Report, SeamSummary,
+    Severity, SmoothSummary, SourceSummary, Stage, SyntheticScore, TopicRow, ViewScore,
 };
 
 /// Why a report could not be made.

@@ -81,7 +81,13 @@ pub(super) fn run(args: &BakeArgs, quiet: bool) -> anyhow::Result<()> {
     .into_iter()
     .filter_map(|(flag, name, value)| Some((flag, name, value?)))
     .collect();
-    let defaults = [("texsmooth.iterations", NUM_STEPS)];
+    let defaults = [
+        ("photometric.gain", "true"),
+        ("photometric.pose", "true"),
+        ("photometric.global_seams", "true"),
+        ("photometric.local_seams", "true"),
+        ("texsmooth.iterations", NUM_STEPS),
+    ];
     let mut config = args.settings.resolve_over(&defaults, &flags)?;
     let smooth = &mut config.pipeline.texsmooth;
     if args.preview.is_some() && smooth.preview_interval == 0 {

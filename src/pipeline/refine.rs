@@ -4,13 +4,14 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use super::clock::StageClock;
+use super::pose_rounds::PoseReport;
 use super::run::{PipelineError, PipelineParams};
 use crate::atlas::{TexelSource, dilate_gutters};
 use crate::keyframe::Keyframe;
 use crate::mesh::TriMesh;
 use crate::photometric::{
-    CorrectedFrames, GainParams, GainReport, GainTable, SeamParams, SeamReport, estimate_gains,
-    level_seams,
+    CorrectedFrames, GainParams, GainReport, GainTable, PoseParams, SeamParams, SeamReport,
+    estimate_gains, level_seams,
 };
 use crate::texinit::{Decode, TexInit, TexInitError};
 
@@ -23,6 +24,10 @@ pub struct RefineParams {
     pub gain: GainParams,
     /// Memory for frames with their gain, MB.
     pub cache_mb: f64,
+    /// Whether keyframes are turned by the offset between photo and rendering.
+    pub has_pose: bool,
+    /// How.
+    pub pose: PoseParams,
     /// Which seams are levelled, and how.
     pub seams: SeamParams,
 }
@@ -33,6 +38,8 @@ impl Default for RefineParams {
             has_gain: false,
             gain: GainParams::default(),
             cache_mb: 256.0,
+            has_pose: false,
+            pose: PoseParams::default(),
             seams: SeamParams {
                 has_global: false,
                 has_local: false,
@@ -47,6 +54,8 @@ impl Default for RefineParams {
 pub struct RefineReport {
     /// The gains and how they came about; `None` where none were asked for.
     pub gain: Option<(GainTable, GainReport)>,
+    /// Corrected poses; `None` where none were asked for.
+    pub pose: Option<PoseReport>,
     /// Levelling; `None` where none was asked for.
     pub seams: Option<SeamReport>,
     /// Wall time of gains, then of seams, seconds.

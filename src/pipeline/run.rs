@@ -120,6 +120,7 @@ pub fn run(
     let (painting, judging) = held_out::split(keyframes, &params.held_out);
 
     let Textured {
+        keyframes,
         texinit,
         refine,
         texsmooth,
@@ -137,7 +138,7 @@ pub fn run(
     Ok(Run {
         store: scan.store_report().clone(),
         mesh: scan.mesh,
-        keyframes: painting,
+        keyframes,
         texinit,
         refine,
         texsmooth,

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use super::clock::StageClock;
+use super::pose_rounds;
 use super::refine::{self, RefineReport};
 use super::run::{PipelineError, PipelineParams};
 use super::scan::Scan;
@@ -13,6 +14,8 @@ use crate::texsmooth::{self, SmoothFrom, SmoothReport};
 /// A textured scan.
 #[derive(Debug)]
 pub struct Textured {
+    /// The keyframes that painted, their poses corrected where that was asked for.
+    pub keyframes: Vec<Arc<Keyframe>>,
     /// The layout, the texture and how they came about.
     pub texinit: TexInit,
     /// What gains and seam levelling did.
@@ -45,9 +48,23 @@ pub fn texture_scan(
     let corrected = refine::corrected(&recorded, &gains, &params.refine);
     let decode = |keyframe: &Keyframe| corrected.decode(keyframe);
     let mut texinit = texinit(&scan.mesh, painting, &decode, &params.texinit, clock)?;
+    let mut keyframes = painting.to_vec();
+    if params.refine.has_pose {
+        let pose = &params.refine.pose;
+        let corrected = pose_rounds::correct(
+            scan,
+            &mut keyframes,
+            &decode,
+            &mut texinit,
+            pose,
+            &params.texinit,
+            clock,
+        )?;
+        refined.pose = Some(corrected);
+    }
     refine::level(
         &scan.mesh,
-        painting,
+        &keyframes,
         &mut texinit,
         params,
         clock,
@@ -63,7 +80,7 @@ pub fn texture_scan(
             &scan.mesh,
             &texinit.layout,
             &mut texinit.texture,
-            painting,
+            &keyframes,
             &decode,
             &params.texsmooth,
             from,
@@ -74,6 +91,7 @@ pub fn texture_scan(
         None
     };
     Ok(Textured {
+        keyframes,
         texinit,
         refine: refined,
         texsmooth,

@@ -58,8 +58,29 @@ pub struct Report {
 pub struct RefineSummary {
     /// Gains of keyframes, where they were asked for.
     pub gain: Option<GainSummary>,
+    /// Poses of keyframes, where they were corrected.
+    pub pose: Option<PoseSummary>,
     /// Seams, where they were levelled.
     pub seams: Option<SeamSummary>,
+}
+
+/// Poses of keyframes, round by round.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct PoseSummary {
+    /// Mean difference of photos and renderings before the first round and after each, 0-255.
+    pub residual_255: Vec<f64>,
+    /// Mean offset then, pixels.
+    pub offset_px: Vec<f64>,
+    /// Keyframes that were turned.
+    pub num_turned: usize,
+    /// Keyframes whose offset could not be told at first.
+    pub num_unknown: usize,
+    /// Keyframes that were put back.
+    pub num_put_back: usize,
+    /// The largest turn.
+    pub max_turn_rad: f64,
+    /// Wall time.
+    pub seconds: f64,
 }
 
 /// Gains of keyframes.

@@ -210,7 +210,7 @@ pub(super) fn result(report: &Report) -> String {
     ));
     if let Some(refine) = &report.refine {
         cards.push_str(&card(
-            "Exposure and seams",
+            "Exposure, poses and seams",
             &table(&plain, &refine_rows(refine)),
         ));
     }
@@ -273,6 +273,34 @@ fn refine_rows(refine: &RefineSummary) -> Vec<Vec<String>> {
                 ),
             ),
             pair("time for gains", format!("{:.1} s", gain.seconds)),
+        ]);
+    }
+    if let Some(pose) = &refine.pose {
+        let arrows = |values: &[f64]| {
+            let texts: Vec<String> = values.iter().map(|v| format!("{v:.2}")).collect();
+            texts.join(" → ")
+        };
+        rows.extend([
+            pair(
+                "mean offset of photos, px, by round",
+                arrows(&pose.offset_px),
+            ),
+            pair(
+                "their difference from renderings, of 255",
+                arrows(&pose.residual_255),
+            ),
+            pair(
+                "keyframes turned / put back / unknown",
+                format!(
+                    "{} / {} / {}",
+                    pose.num_turned, pose.num_put_back, pose.num_unknown
+                ),
+            ),
+            pair(
+                "largest turn",
+                format!("{:.2}°", pose.max_turn_rad.to_degrees()),
+            ),
+            pair("time for poses", format!("{:.1} s", pose.seconds)),
         ]);
     }
     if let Some(seams) = &refine.seams {

@@ -76,6 +76,22 @@ const NO_ALIGN: &[(&str, &str)] = &[
     ("texsmooth.align", "false"),
 ];
 
+const FAST: &[(&str, &str)] = &[
+    ("texinit.init", "assigned"),
+    ("photometric.gain", "true"),
+    ("photometric.pose", "true"),
+    ("photometric.global_seams", "true"),
+    ("photometric.local_seams", "true"),
+];
+const FULL: &[(&str, &str)] = &[
+    ("texinit.init", "assigned"),
+    ("photometric.gain", "true"),
+    ("photometric.pose", "true"),
+    ("photometric.global_seams", "true"),
+    ("photometric.local_seams", "true"),
+    ("texsmooth.iterations", NUM_STEPS),
+];
+
 /// All methods, in the order of `--suite paper`.
 pub(super) const METHODS: &[Method] = &[
     method(
@@ -104,6 +120,27 @@ pub(super) const METHODS: &[Method] = &[
             ("texinit.pairwise_weight", "1"),
         ],
     ),
+    method(
+        "gain",
+        "TexInit with a gain for each keyframe",
+        &[("texinit.init", "assigned"), ("photometric.gain", "true")],
+    ),
+    method(
+        "pose",
+        "TexInit with poses corrected by the offsets of photos",
+        &[("texinit.init", "assigned"), ("photometric.pose", "true")],
+    ),
+    method(
+        "seams",
+        "TexInit with seams levelled, over regions and in a band",
+        &[
+            ("texinit.init", "assigned"),
+            ("photometric.global_seams", "true"),
+            ("photometric.local_seams", "true"),
+        ],
+    ),
+    method("fast", "gain, pose and seams together", FAST),
+    method("full", "fast, then TexSmooth: what veneer bake does", FULL),
     method(
         "smooth",
         "TexInit and TexSmooth: the paper's method",
@@ -179,6 +216,8 @@ pub(super) const METHODS: &[Method] = &[
         "t-only with ±5 % on each Euler angle and translation component of the training poses",
         T_ONLY,
     ),
+    noisy("fast-noise", "fast with the same noise", FAST),
+    noisy("full-noise", "full with the same noise", FULL),
     noisy("smooth-noise", "smooth with the same noise", SMOOTH),
     noisy("no-align-noise", "no-align with the same noise", NO_ALIGN),
 ];

@@ -9,8 +9,8 @@ use crate::keyframe::Keyframe;
 use crate::pipeline::{RefineReport, Run};
 use crate::report::{
     ChartSummary, Count, DensitySummary, Drop, GainSummary, KeyframeRow, LossRow, MeshSummary,
-    Note, RefineSummary, Report, SeamSummary, Severity, SmoothSummary, SourceSummary, Stage,
-    TopicRow, repairs,
+    Note, PoseSummary, RefineSummary, Report, SeamSummary, Severity, SmoothSummary, SourceSummary,
+    Stage, TopicRow, repairs,
 };
 use crate::texsmooth::SmoothReport;
 
@@ -70,7 +70,17 @@ fn refine_summary(report: &RefineReport) -> Option<RefineSummary> {
         num_changed_texels: seams.num_changed_texels,
         seconds: report.seconds[1],
     });
-    (gain.is_some() || seams.is_some()).then_some(RefineSummary { gain, seams })
+    let pose = report.pose.as_ref().map(|pose| PoseSummary {
+        residual_255: pose.residual_255.clone(),
+        offset_px: pose.offset_px.clone(),
+        num_turned: pose.num_turned,
+        num_unknown: pose.num_unknown,
+        num_put_back: pose.num_put_back,
+        max_turn_rad: pose.max_turn_rad,
+        seconds: pose.seconds,
+    });
+    let is_any = gain.is_some() || pose.is_some() || seams.is_some();
+    is_any.then_some(RefineSummary { gain, pose, seams })
 }
 
 fn smooth_summary(report: &SmoothReport) -> SmoothSummary {
