@@ -22,7 +22,7 @@ use crate::keyframe::Keyframe;
 use crate::metrics::protocol::{MethodView, nearest_angle_rad, score_view};
 use crate::metrics::{Lpips, lpips};
 use crate::pipeline::{Progress, Scan, StageClock, gather};
-use crate::report::{EvalMethod, EvalReport, EvalView};
+use crate::report::{EvalMethod, EvalReport, EvalScore, EvalView};
 use crate::texsmooth::align::{AlignForm, AlignParams};
 use candidate::{Candidate, Textures};
 use methods::METHODS;
@@ -259,7 +259,8 @@ impl Split {
 fn notes(args: &EvalArgs, split: &Split) -> Vec<String> {
     let mut notes = vec![format!(
         "Every {}th keyframe is held out. Renderings are aligned by whole pixels ({} form), cut to \
-         what all methods have in common, and black outside all their masks.",
+         what all methods have in common, and black outside the intersection of their masks. \
+         Methods with noise on their poses are a company of their own.",
         args.hold_out, args.align
     )];
     match &args.lpips_weights {
@@ -292,10 +293,18 @@ fn compare(
 ) -> anyhow::Result<EvalView> {
     let keyframe = &view.keyframe;
     let name = format!("keyframe {}", keyframe.id.0);
-    let views = candidates
-        .iter()
-        .map(|candidate| candidate.view(index))
-        .collect::<anyhow::Result<Vec<MethodView>>>()?;
+    let poses = split.training.iter().map(|k| &k.world_from_camera);
+    let sheet = format!("views/keyframe_{:05}.jpg", keyframe.id.0);
+    let mut scored = EvalView {
+        keyframe: keyframe.id.0,
+        stamp_ns: keyframe.stamp.as_nanos(),
+        size_px: [view.photo.width(), view.photo.height()],
+        nearest_training_deg: nearest_angle_rad(&keyframe.world_from_camera, poses)
+            .map(f64::to_degrees),
+        sheet: Some(sheet.clone()),
+        scores: vec![EvalScore::default(); candidates.len()],
+        name,
+    };
     let align = AlignParams {
         form: match args.align.as_str() {
             "refined" => AlignForm::Refined,
@@ -303,35 +312,43 @@ fn compare(
         },
         ..AlignParams::default()
     };
-    let scores = score_view(&view.photo, &views, &align, lpips)
-        .with_context(|| format!("{name} cannot be compared"))?;
-    let poses = split.training.iter().map(|k| &k.world_from_camera);
-    let sheet = format!("views/keyframe_{:05}.jpg", keyframe.id.0);
-    let mut scored = EvalView {
-        name,
-        keyframe: keyframe.id.0,
-        stamp_ns: keyframe.stamp.as_nanos(),
-        size_px: [view.photo.width(), view.photo.height()],
-        nearest_training_deg: nearest_angle_rad(&keyframe.world_from_camera, poses)
-            .map(f64::to_degrees),
-        sheet: Some(sheet.clone()),
-        ..EvalView::default()
-    };
-    let names: Vec<String> = candidates.iter().map(|c| c.name.clone()).collect();
-    scored.set_scores(&scores, &names);
-    let labels: Vec<String> = scored.scores.iter().map(label).collect();
-    sheet::write(
-        &args.out.join(sheet),
-        &scored.name,
-        &view.photo,
-        &views,
-        &scores,
-        &labels,
-    )?;
+    let mut rows: Vec<(usize, sheet::Row)> = Vec::with_capacity(candidates.len());
+    for is_disturbed in [false, true] {
+        let company: Vec<usize> = (0..candidates.len())
+            .filter(|&at| candidates[at].is_disturbed() == is_disturbed)
+            .collect();
+        if company.is_empty() {
+            continue;
+        }
+        let views = company
+            .iter()
+            .map(|&at| candidates[at].view(index))
+            .collect::<anyhow::Result<Vec<MethodView>>>()?;
+        let mut scores = score_view(&view.photo, &views, &align, lpips)
+            .with_context(|| format!("{} cannot be compared", scored.name))?;
+        let renders = std::mem::take(&mut scores.renders);
+        for (in_company, ((&at, method_view), render)) in
+            company.iter().zip(views).zip(renders).enumerate()
+        {
+            let score = EvalScore::new(&candidates[at].name, &scores, in_company)
+                .context("a method was not scored")?;
+            let row = sheet::Row {
+                label: label(&score),
+                view: method_view,
+                aligned_photo: scores.photo.clone(),
+                aligned_render: render,
+            };
+            scored.scores[at] = score;
+            rows.push((at, row));
+        }
+    }
+    rows.sort_by_key(|(at, _)| *at);
+    let rows: Vec<sheet::Row> = rows.into_iter().map(|(_, row)| row).collect();
+    sheet::write(&args.out.join(sheet), &scored.name, &view.photo, &rows)?;
     Ok(scored)
 }
 
-fn label(score: &crate::report::EvalScore) -> String {
+fn label(score: &EvalScore) -> String {
     let measures = &score.measures;
     let number = |name: &str, value: Option<f64>| {
         value.map_or(String::new(), |value| format!("  {name} {value:.3}"))

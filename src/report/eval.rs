@@ -40,10 +40,6 @@ pub struct EvalView {
     pub size_px: [u32; 2],
     /// Turn between this view and the nearest that painted, degrees.
     pub nearest_training_deg: Option<f64>,
-    /// The part of the photo that was compared: left, top, width, height.
-    pub cut_px: [u32; 4],
-    /// Share of that part that no method leaves empty.
-    pub common_share: f64,
     /// Per method, in the order of [`EvalReport::methods`].
     pub scores: Vec<EvalScore>,
     /// The contact sheet, relative to the report.
@@ -82,6 +78,10 @@ pub struct EvalScore {
     pub alignment_px: [f32; 2],
     /// Whether that offset was trusted; where not, it is zero.
     pub is_aligned: bool,
+    /// The part of the photo that was compared: left, top, width, height.
+    pub cut_px: [u32; 4],
+    /// Share of that part that no method of its company leaves empty.
+    pub common_share: f64,
     /// The measures.
     #[serde(flatten)]
     pub measures: EvalMeasures,
@@ -117,14 +117,18 @@ pub struct PublishedRow {
 }
 
 impl EvalScore {
-    /// What `score` measured of `method`.
-    pub fn new(method: &str, score: &MethodScore) -> Self {
+    /// What was measured of `method`, the one at `index` of those that were compared.
+    pub fn new(method: &str, scores: &ViewScores, index: usize) -> Option<Self> {
+        let score: &MethodScore = scores.scores.get(index)?;
         // The sum turns −0 into 0.
         let [dx, dy] = score.alignment.offset_px.map(|offset| offset + 0.0);
-        Self {
+        let cut = scores.cut;
+        Some(Self {
             method: method.to_owned(),
             alignment_px: [dx, dy],
             is_aligned: score.alignment.is_trusted,
+            cut_px: [cut.x, cut.y, cut.width, cut.height],
+            common_share: scores.common_share,
             measures: EvalMeasures {
                 ssim: score.ssim,
                 lpips: score.lpips,
@@ -136,22 +140,7 @@ impl EvalScore {
                 s3_whole: Some(score.s3_whole),
                 offset_px: Some(f64::from(dx.hypot(dy))),
             },
-        }
-    }
-}
-
-impl EvalView {
-    /// Takes over what was measured of the view; `methods` are the names in the order of the
-    /// scores.
-    pub fn set_scores(&mut self, scores: &ViewScores, methods: &[String]) {
-        let cut = scores.cut;
-        self.cut_px = [cut.x, cut.y, cut.width, cut.height];
-        self.common_share = scores.common_share;
-        self.scores = methods
-            .iter()
-            .zip(&scores.scores)
-            .map(|(method, score)| EvalScore::new(method, score))
-            .collect();
+        })
     }
 }
 

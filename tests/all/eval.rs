@@ -103,7 +103,15 @@ fn a_small_recording_is_evaluated() {
 
     for view in views {
         assert!(number(&view["nearest_training_deg"]) > 0.0);
-        assert!(number(&view["common_share"]) > 0.1);
+        let scores = view["scores"].as_array().unwrap();
+        assert!(
+            scores
+                .iter()
+                .all(|score| number(&score["common_share"]) > 0.1)
+        );
+        // Methods on true poses are compared on the same pixels; the disturbed one is alone.
+        let of = |at: usize| [&scores[at]["cut_px"], &scores[at]["common_share"]];
+        assert!([1, 2, 4].iter().all(|&at| of(at) == of(0)));
         let sheet = std::fs::read(out.join(view["sheet"].as_str().unwrap())).unwrap();
         let sheet = veneer::geom::EncodedColor::from_file(sheet.into()).unwrap();
         // Four pictures of the view side by side, a row for each method.
@@ -255,6 +263,43 @@ fn exports_read_back_look_like_the_original() {
             assert!(num_compared > 50_000, "{num_compared}");
         }
     }
+}
+
+/// The JSON and the binary chunk of a GLB.
+fn chunks(glb: &[u8]) -> (Value, &[u8]) {
+    let word = |at: usize| u32::from_le_bytes(glb[at..at + 4].try_into().unwrap()) as usize;
+    let end = 20 + word(12);
+    let json = serde_json::from_slice(&glb[20..end]).unwrap();
+    (json, &glb[end + 8..end + 8 + word(end)])
+}
+
+#[test]
+fn buffers_and_images_beside_a_gltf_file_are_found() {
+    let room = Room::new();
+    let textured = TexturedMesh::new(&room.mesh, &room.layout, &room.texture).unwrap();
+    let dir = tempfile::tempdir().unwrap();
+    write_all(&textured, dir.path(), &ExportParams::default()).unwrap();
+    let glb = std::fs::read(dir.path().join("scan.glb")).unwrap();
+    let (mut json, binary) = chunks(&glb);
+    std::fs::write(dir.path().join("the data.bin"), binary).unwrap();
+    json["buffers"][0]["uri"] = "the%20data.bin".into();
+    // One image stays in the buffer, the other is the page beside it.
+    let image = &mut json["images"][1];
+    *image = serde_json::json!({ "uri": "atlas/page_1.png" });
+    let path = dir.path().join("scan.gltf");
+    std::fs::write(&path, json.to_string()).unwrap();
+
+    let inside = model::read(&dir.path().join("scan.glb")).unwrap();
+    let beside = model::read(&path).unwrap();
+    assert_eq!(inside.mesh().positions_m(), beside.mesh().positions_m());
+    let (camera, pose) = views().remove(0);
+    let [a, b] = [inside, beside]
+        .map(|model| render_model(&model, &camera, &pose, &RenderParams::default()).unwrap());
+    assert_eq!(a, b);
+
+    std::fs::remove_file(dir.path().join("the data.bin")).unwrap();
+    let error = model::read(&path).unwrap_err().to_string();
+    assert!(error.contains("the data.bin"), "{error}");
 }
 
 #[test]

@@ -171,6 +171,12 @@ impl Candidate {
         }
     }
 
+    /// Whether it was made from wrong poses on purpose. Such are compared among themselves: they
+    /// are displaced so far that they would cut the others' views down.
+    pub(super) fn is_disturbed(&self) -> bool {
+        matches!(&self.kind, Kind::Method(method) if method.pose_noise != 0.0)
+    }
+
     /// Makes the texture, where it is not there yet, and renders every held-out view.
     pub(super) fn render(
         &mut self,

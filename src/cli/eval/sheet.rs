@@ -8,7 +8,7 @@ use anyhow::Context;
 use crate::export::pages::jpeg_rgb8;
 use crate::export::write_atomic;
 use crate::geom::ColorImage;
-use crate::metrics::protocol::{MethodView, ViewScores};
+use crate::metrics::protocol::MethodView;
 use crate::report::colors::of_difference;
 use crate::report::pictures::{downscale, hatch};
 use crate::synth::dot_columns;
@@ -96,37 +96,43 @@ fn hatched(view: &MethodView) -> ColorImage {
         .unwrap_or_else(|_| view.render.clone())
 }
 
-/// Writes the sheet as JPEG; `labels` has a line per method.
+/// What a method shows of the view.
+pub(super) struct Row {
+    pub(super) label: String,
+    pub(super) view: MethodView,
+    /// The photo's part that was compared, masked.
+    pub(super) aligned_photo: ColorImage,
+    /// The same part of the aligned rendering.
+    pub(super) aligned_render: ColorImage,
+}
+
+/// Writes the sheet as JPEG.
 pub(super) fn write(
     path: &Path,
     title: &str,
     photo: &ColorImage,
-    methods: &[MethodView],
-    scores: &ViewScores,
-    labels: &[String],
+    rows: &[Row],
 ) -> anyhow::Result<()> {
     let small_photo = downscale(photo, PANEL_PX);
     let [panel_width, panel_height] = [small_photo.width(), small_photo.height()];
     let row_px = panel_height + LABEL_PX + GAP_PX;
-    let num_rows = u32::try_from(methods.len()).context("too many methods")?;
+    let num_rows = u32::try_from(rows.len()).context("too many methods")?;
     let mut canvas = Canvas::new(
         4 * (panel_width + GAP_PX) + GAP_PX,
         LABEL_PX + GAP_PX + num_rows * row_px,
     );
     let legend = "photo | rendering | difference before | and after alignment (black 0, bright 64)";
     canvas.write(&format!("{title}: {legend}"), [GAP_PX, GAP_PX]);
-    for (row, ((view, aligned), label)) in
-        (0u32..).zip(methods.iter().zip(&scores.renders).zip(labels))
-    {
-        let top = LABEL_PX + GAP_PX + row * row_px;
-        canvas.write(label, [GAP_PX, top + 4]);
-        let is_common =
-            |i: usize| scores.photo.pixels()[i] != [0; 3] || aligned.pixels()[i] != [0; 3];
+    for (index, row) in (0u32..).zip(rows) {
+        let top = LABEL_PX + GAP_PX + index * row_px;
+        canvas.write(&row.label, [GAP_PX, top + 4]);
+        let (before, after) = (&row.aligned_photo, &row.aligned_render);
+        let is_common = |i: usize| before.pixels()[i] != [0; 3] || after.pixels()[i] != [0; 3];
         let panels = [
             photo.clone(),
-            hatched(view),
-            difference(photo, &view.render, |i| view.mask[i]),
-            difference(&scores.photo, aligned, is_common),
+            hatched(&row.view),
+            difference(photo, &row.view.render, |i| row.view.mask[i]),
+            difference(before, after, is_common),
         ];
         for (column, panel) in (0u32..).zip(&panels) {
             let left = GAP_PX + column * (panel_width + GAP_PX);
