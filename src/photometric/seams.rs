@@ -33,7 +33,7 @@ pub struct SeamParams {
     pub has_local: bool,
     /// How far from a seam the global correction reaches, metres (> 0).
     pub reach_m: f64,
-    /// Weight of steps against the smoothness of corrections (> 0).
+    /// Weight of steps against the stiffness of corrections (> 0): 1 / (2 × weight) of a step is left.
     pub step_weight: f64,
     /// Width of the band on either side of a seam, texels (> 0).
     pub band_texel: f64,
@@ -47,7 +47,7 @@ impl Default for SeamParams {
             has_global: true,
             has_local: true,
             reach_m: 0.5,
-            step_weight: 1.0,
+            step_weight: 50.0,
             band_texel: 6.0,
             max_step: 0.25,
         }

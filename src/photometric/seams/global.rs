@@ -31,8 +31,11 @@ pub(super) fn solve(
     let mut links = smoothness(nodes);
     // Edges of a regular mesh: each node has half of six, along which a unit gradient shows by half.
     let pull = 1.5 * (mean_edge_m(mesh) / params.reach_m).powi(2);
+    // Against the stiffness of a correction that dies away on both sides of a straight seam: of its
+    // step, 1 / (2 step_weight) is left, whatever the size of the triangles.
+    let step_weight = params.step_weight * pull.sqrt();
     for seam in seams {
-        links.extend(steps(nodes, seam, params.step_weight));
+        links.extend(steps(nodes, seam, step_weight));
     }
     let laplacian = Laplacian::new(nodes.len(), &links, pull);
     let mut rhs = vec![[0.0; 3]; nodes.len()];

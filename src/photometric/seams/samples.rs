@@ -162,7 +162,7 @@ fn color_at_edge(
         clippy::cast_sign_loss,
         reason = "negative and not finite ones become 0, large ones are not on the page"
     )]
-    let inside = |depth_texel: f32| -> Option<[f32; 3]> {
+    let inside = |depth_texel: f32| -> Option<(f32, [f32; 3])> {
         let part = depth_texel / height_texel;
         let [x, y] = [0, 1].map(|axis| edge[axis] + (apex[axis] - edge[axis]) * part);
         let (x, y) = (x as u32, y as u32);
@@ -170,22 +170,28 @@ fn color_at_edge(
             return None;
         }
         let index = y as usize * page.width as usize + x as usize;
-        (page.source[index] == source).then(|| page.srgb[index].map(linear_from_srgb))
+        let centre = [x as f32 + 0.5 - start[0], y as f32 + 0.5 - start[1]];
+        let depth_texel =
+            (along[0] * centre[1] - along[1] * centre[0]).abs() / along[0].hypot(along[1]);
+        (page.source[index] == source)
+            .then(|| (depth_texel, page.srgb[index].map(linear_from_srgb)))
     };
     if height_texel.is_nan() || height_texel < 1.0 {
         return None;
     }
-    let near = inside(NEAR_TEXEL)?;
+    let (near_texel, near) = inside(NEAR_TEXEL)?;
     if height_texel < 1.5 * FAR_TEXEL {
         return Some(near);
     }
-    let Some(far) = inside(FAR_TEXEL) else {
-        return Some(near);
-    };
-    let slope = NEAR_TEXEL / (FAR_TEXEL - NEAR_TEXEL);
-    Some(std::array::from_fn(|c| {
-        near[c] - (far[c] - near[c]) * slope
-    }))
+    match inside(FAR_TEXEL) {
+        Some((far_texel, far)) if far_texel - near_texel > 0.5 => {
+            let slope = near_texel / (far_texel - near_texel);
+            Some(std::array::from_fn(|c| {
+                near[c] - (far[c] - near[c]) * slope
+            }))
+        }
+        _ => Some(near),
+    }
 }
 
 /// Mean absolute step, seams weighted by length: of each seam the step of its mean colours.
