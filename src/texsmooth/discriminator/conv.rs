@@ -144,14 +144,21 @@ pub(super) fn places_last(
         .for_each(|(index, out)| {
             for image in 0..num_images {
                 let first = grid.num_before(shape) + image * grid.num_cells();
-                let places = by_output[first * outputs..]
-                    .chunks_exact(outputs)
-                    .take(grid.num_places());
-                let at = image * grid.num_places();
-                for (place, values) in places.enumerate() {
-                    let values = &values[index * together..];
-                    for (row, value) in out.chunks_exact_mut(row_len).zip(values) {
-                        row[at + place] = *value;
+                let places = &by_output[first * outputs..(first + grid.num_places()) * outputs];
+                for (tile, values) in places.chunks(TRANSPOSED_TOGETHER * outputs).enumerate() {
+                    // By squares, so that whole lines of the cache are written.
+                    let mut square = [[0.0; TRANSPOSED_TOGETHER]; TRANSPOSED_TOGETHER];
+                    for (row, values) in square.iter_mut().zip(values.chunks_exact(outputs)) {
+                        let values = &values[index * together..(index + 1) * together];
+                        row[..together].copy_from_slice(values);
+                    }
+                    let at = image * grid.num_places() + tile * TRANSPOSED_TOGETHER;
+                    let num_places = values.len() / outputs;
+                    for (column, out) in out.chunks_exact_mut(row_len).enumerate() {
+                        let out = &mut out[at..at + num_places];
+                        for (out, row) in out.iter_mut().zip(&square) {
+                            *out = row[column];
+                        }
                     }
                 }
             }

@@ -21,13 +21,13 @@ pub(super) fn planes_to_cells(patch: &PatchView<'_>, shape: Shape, grid: Grid, o
                 for channel in 0..NUM_CHANNELS {
                     let at = channel * num_pixels + y * patch.width;
                     let values = &patch.data[at..at + patch.width];
-                    for (x, value) in values.iter().enumerate() {
-                        let x = x + shape.padding;
-                        let block = dy * shape.stride + x % shape.stride;
-                        let at = x / shape.stride * shape.depth() + block * NUM_CHANNELS + channel;
-                        if let Some(out) = out.get_mut(at) {
-                            *out = *value;
-                        }
+                    for dx in 0..shape.stride {
+                        let (column, x) = first_column(shape, dx);
+                        let block = dy * shape.stride + dx;
+                        let at = column * shape.depth() + block * NUM_CHANNELS + channel;
+                        let values = values.iter().skip(x).step_by(shape.stride);
+                        let out = out.iter_mut().skip(at).step_by(shape.depth());
+                        out.zip(values).for_each(|(out, value)| *out = *value);
                     }
                 }
             }
@@ -120,16 +120,25 @@ pub(super) fn cells_to_planes(
         .for_each(|(index, out)| {
             let (channel, y) = (index / height, index % height + shape.padding);
             let row = y / shape.stride;
-            for (x, out) in out.iter_mut().enumerate() {
-                let x = x + shape.padding;
-                let column = x / shape.stride;
-                if row >= grid.rows || column >= grid.columns {
-                    *out = 0.0;
-                    continue;
-                }
-                let block = y % shape.stride * shape.stride + x % shape.stride;
-                let cell = row * grid.columns + column;
-                *out = by_cells[cell * kept_depth + block * num_planes + channel];
+            out.fill(0.0);
+            if row >= grid.rows {
+                return;
+            }
+            let row_len = grid.columns * kept_depth;
+            let cells = &by_cells[row * row_len..(row + 1) * row_len];
+            for dx in 0..shape.stride {
+                let (column, x) = first_column(shape, dx);
+                let block = y % shape.stride * shape.stride + dx;
+                let at = column * kept_depth + block * num_planes + channel;
+                let values = cells.iter().skip(at).step_by(kept_depth);
+                let out = out.iter_mut().skip(x).step_by(shape.stride);
+                out.zip(values).for_each(|(out, value)| *out = *value);
             }
         });
+}
+
+/// The first column of cells whose pixel `dx` lies in the image, and that pixel.
+fn first_column(shape: Shape, dx: usize) -> (usize, usize) {
+    let column = shape.padding.saturating_sub(dx).div_ceil(shape.stride);
+    (column, column * shape.stride + dx - shape.padding)
 }
