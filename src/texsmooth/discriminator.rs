@@ -16,8 +16,11 @@
 mod adam;
 mod conv;
 mod cpu;
+mod grid;
+mod layer;
 mod losses;
 mod mask;
+mod network;
 
 pub use cpu::CpuDiscriminator;
 

@@ -1,5 +1,9 @@
 //! Adam (Kingma and Ba 2015) on a layer's weights.
 
+use rayon::prelude::*;
+
+/// Numbers stepped together on a thread.
+const CHUNK: usize = 16_384;
 const EPSILON: f32 = 1e-8;
 
 /// First and second moments of some numbers.
@@ -36,19 +40,32 @@ impl AdamStep {
         moments: &mut Moments,
         gradient: Option<&[f32]>,
     ) {
+        values
+            .par_chunks_mut(CHUNK)
+            .zip(moments.first.par_chunks_mut(CHUNK))
+            .zip(moments.second.par_chunks_mut(CHUNK))
+            .enumerate()
+            .for_each(|(chunk, ((values, first), second))| {
+                let moved = values.iter_mut().zip(first).zip(second);
+                if let Some(gradient) = gradient {
+                    for (((value, first), second), g) in moved.zip(&gradient[chunk * CHUNK..]) {
+                        self.step(value, first, second, *g);
+                    }
+                } else {
+                    for ((value, first), second) in moved {
+                        self.step(value, first, second, 0.0);
+                    }
+                }
+            });
+    }
+
+    #[inline]
+    fn step(&self, value: &mut f32, first: &mut f32, second: &mut f32, g: f32) {
         let [beta1, beta2] = self.betas;
-        let zipped = values
-            .iter_mut()
-            .zip(&mut moments.first)
-            .zip(&mut moments.second)
-            .enumerate();
-        for (index, ((value, first), second)) in zipped {
-            let g = gradient.map_or(0.0, |gradient| gradient[index]);
-            *first = beta1 * *first + (1.0 - beta1) * g;
-            *second = beta2 * *second + (1.0 - beta2) * g * g;
-            let size = (*second / self.corrections[1]).sqrt() + EPSILON;
-            *value -= self.learning_rate * (*first / self.corrections[0]) / size;
-        }
+        *first = beta1 * *first + (1.0 - beta1) * g;
+        *second = beta2 * *second + (1.0 - beta2) * g * g;
+        let size = (*second / self.corrections[1]).sqrt() + EPSILON;
+        *value -= self.learning_rate * (*first / self.corrections[0]) / size;
     }
 }
 

@@ -1,50 +1,34 @@
 //! The discriminator on the CPU.
 
-use super::adam::{AdamStep, Moments};
-use super::conv::{Map, Shape, Weights};
+use super::adam::AdamStep;
+use super::layer::{Kernels, Shape, Weights};
 use super::losses::{self, Side};
 use super::mask::PlaceMask;
+use super::network::{Layer, NUM_LAYERS, Network, Workspace};
 use super::{
     Critic, CriticError, CriticLosses, DiscriminatorParams, Gate, NUM_CHANNELS, PatchView,
 };
 
 /// Inputs, outputs and stride of each layer.
-const LAYERS: [(usize, usize, usize); 5] = [
+const LAYERS: [(usize, usize, usize); NUM_LAYERS] = [
     (NUM_CHANNELS, 64, 2),
     (64, 128, 2),
     (128, 128, 2),
     (128, 128, 1),
     (128, 1, 1),
 ];
-const NUM_LAYERS: usize = LAYERS.len();
+/// The planes before are the photo's, and nothing is asked of them.
+const FIRST_KEPT: usize = NUM_CHANNELS - 3;
 const MAGIC: &[u8; 8] = b"veneerD1";
 
 /// See [`super`].
 #[derive(Clone, Debug)]
 pub struct CpuDiscriminator {
     params: DiscriminatorParams,
-    layers: Vec<Layer>,
+    network: Network,
     /// Steps of Adam so far.
     num_steps: u64,
-    real: Activations,
-    fake: Activations,
-}
-
-#[derive(Clone, Debug)]
-struct Layer {
-    shape: Shape,
-    weights: Weights,
-    weight_moments: Moments,
-    bias_moments: Moments,
-    /// Gradients of the real and of the fake patch.
-    gradients: [Weights; 2],
-}
-
-/// Of one patch: its planes with channels last, then each layer's output after its activation.
-#[derive(Clone, Debug, Default)]
-struct Activations {
-    maps: [Map; NUM_LAYERS + 1],
-    gradients: [Map; NUM_LAYERS + 1],
+    workspace: Workspace,
 }
 
 fn shapes(params: &DiscriminatorParams) -> [Shape; NUM_LAYERS] {
@@ -56,16 +40,9 @@ fn shapes(params: &DiscriminatorParams) -> [Shape; NUM_LAYERS] {
     })
 }
 
-impl Layer {
-    fn new(shape: Shape, weights: Weights) -> Self {
-        Self {
-            weight_moments: Moments::new(weights.weight.len()),
-            bias_moments: Moments::new(weights.bias.len()),
-            gradients: [weights.clone(), weights.clone()],
-            shape,
-            weights,
-        }
-    }
+fn make_layer(index: usize, shape: Shape, weights: Weights) -> Layer {
+    let first_kept = if index == 0 { FIRST_KEPT } else { 0 };
+    Layer::new(shape, weights, Kernels::new(shape, first_kept))
 }
 
 impl CpuDiscriminator {
@@ -78,11 +55,14 @@ impl CpuDiscriminator {
             .into_iter()
             .enumerate()
             .map(|(index, shape)| {
-                let weight = (0..shape.num_weights() as u64)
+                let plain: Vec<f32> = (0..shape.num_weights() as u64)
                     .map(|at| params.weight_std * normal(seed, index as u64, at))
                     .collect();
-                let bias = vec![0.0; shape.outputs];
-                Layer::new(shape, Weights { weight, bias })
+                let weights = Weights {
+                    weight: shape.to_cells(&plain),
+                    bias: vec![0.0; shape.outputs],
+                };
+                make_layer(index, shape, weights)
             })
             .collect();
         Ok(Self::from_layers(params, layers, 0))
@@ -91,10 +71,12 @@ impl CpuDiscriminator {
     fn from_layers(params: &DiscriminatorParams, layers: Vec<Layer>, num_steps: u64) -> Self {
         Self {
             params: *params,
-            layers,
+            network: Network {
+                layers,
+                slope: params.leaky_slope,
+            },
             num_steps,
-            real: Activations::default(),
-            fake: Activations::default(),
+            workspace: Workspace::default(),
         }
     }
 
@@ -126,15 +108,16 @@ impl CpuDiscriminator {
         };
         let layers = shapes
             .into_iter()
-            .map(|shape| {
+            .enumerate()
+            .map(|(index, shape)| {
                 let num = shape.num_weights();
                 let weights = Weights {
-                    weight: take(num),
+                    weight: shape.to_cells(&take(num)),
                     bias: take(shape.outputs),
                 };
-                let mut layer = Layer::new(shape, weights);
-                layer.weight_moments.first = take(num);
-                layer.weight_moments.second = take(num);
+                let mut layer = make_layer(index, shape, weights);
+                layer.weight_moments.first = shape.to_cells(&take(num));
+                layer.weight_moments.second = shape.to_cells(&take(num));
                 layer.bias_moments.first = take(shape.outputs);
                 layer.bias_moments.second = take(shape.outputs);
                 layer
@@ -160,7 +143,7 @@ impl CpuDiscriminator {
         length("mask", mask.len(), num_pixels)?;
         let fits = |side: usize| {
             let mut side = Some(side);
-            for layer in &self.layers {
+            for layer in &self.network.layers {
                 side = side.and_then(|side| layer.shape.output_side(side));
             }
             side.is_some_and(|side| side > 0)
@@ -181,54 +164,10 @@ impl CpuDiscriminator {
             width: patch.width,
             counts: mask.to_vec(),
         };
-        for layer in &self.layers {
+        for layer in &self.network.layers {
             places = places.through(&layer.shape, self.params.mask_threshold);
         }
         places.counts
-    }
-}
-
-impl Activations {
-    /// The logits of a patch.
-    fn forward(&mut self, patch: &PatchView<'_>, layers: &[Layer], slope: f32) {
-        to_channels_last(patch, &mut self.maps[0]);
-        for (index, layer) in layers.iter().enumerate() {
-            let (before, after) = self.maps.split_at_mut(index + 1);
-            let out = &mut after[0];
-            layer.shape.forward(&before[index], &layer.weights, out);
-            if index + 1 < layers.len() {
-                for value in &mut out.data {
-                    *value *= if *value < 0.0 { slope } else { 1.0 };
-                }
-            }
-        }
-    }
-
-    fn logits(&self) -> &[f32] {
-        &self.maps[NUM_LAYERS].data
-    }
-
-    /// Puts a loss' gradient at the end.
-    fn begin_backward(&mut self, counts: &[f32], side: Side) {
-        let (logits, gradient) = (&self.maps[NUM_LAYERS], &mut self.gradients[NUM_LAYERS]);
-        (gradient.height, gradient.width, gradient.channels) = (logits.height, logits.width, 1);
-        losses::gradient(&logits.data, counts, side, &mut gradient.data);
-    }
-
-    /// The gradient by a layer's input, from that by its output; its activation's slope included.
-    fn backward(&mut self, index: usize, layer: &Layer, slope: f32) {
-        let input = &self.maps[index];
-        let (before, after) = self.gradients.split_at_mut(index + 1);
-        let out = &mut before[index];
-        layer
-            .shape
-            .input_gradient(&after[0], &layer.weights, [input.height, input.width], out);
-        if index > 0 {
-            // The leaky ReLU keeps the sign.
-            for (gradient, value) in out.data.iter_mut().zip(&input.data) {
-                *gradient *= if *value < 0.0 { slope } else { 1.0 };
-            }
-        }
     }
 }
 
@@ -250,16 +189,12 @@ impl Critic for CpuDiscriminator {
             });
         }
         let counts = self.place_mask(&real, mask);
-        let slope = self.params.leaky_slope;
-        let layers = &self.layers;
-        rayon::join(
-            || self.real.forward(&real, layers, slope),
-            || self.fake.forward(&fake, layers, slope),
-        );
+        let (network, workspace) = (&mut self.network, &mut self.workspace);
+        network.forward(&[real, fake], workspace);
         let mut losses = CriticLosses {
-            real: losses::mean_loss(self.real.logits(), &counts, Side::Real),
-            fake: losses::mean_loss(self.fake.logits(), &counts, Side::Fake),
-            texture: losses::mean_loss(self.fake.logits(), &counts, Side::Real),
+            real: losses::mean_loss(workspace.logits(0), &counts, Side::Real),
+            fake: losses::mean_loss(workspace.logits(1), &counts, Side::Fake),
+            texture: losses::mean_loss(workspace.logits(1), &counts, Side::Real),
             stepped: false,
         };
         losses.stepped = gate == Gate::Always || losses.real + losses.fake > losses.texture;
@@ -267,36 +202,10 @@ impl Critic for CpuDiscriminator {
         self.num_steps += 1;
         let adam = AdamStep::new(self.params.learning_rate, self.params.betas, self.num_steps);
         if losses.stepped {
-            self.real.begin_backward(&counts, Side::Real);
-            self.fake.begin_backward(&counts, Side::Fake);
-            for (index, layer) in self.layers.iter_mut().enumerate().rev() {
-                let [of_real, of_fake] = &mut layer.gradients;
-                let (real, fake, shape) = (&self.real, &self.fake, layer.shape);
-                rayon::join(
-                    || {
-                        shape.weight_gradient(
-                            &real.maps[index],
-                            &real.gradients[index + 1],
-                            of_real,
-                        )
-                    },
-                    || {
-                        shape.weight_gradient(
-                            &fake.maps[index],
-                            &fake.gradients[index + 1],
-                            of_fake,
-                        )
-                    },
-                );
-                if index > 0 {
-                    rayon::join(
-                        || self.real.backward(index, layer, slope),
-                        || self.fake.backward(index, layer, slope),
-                    );
-                }
-            }
+            network.begin_backward(workspace, &counts, &[Side::Real, Side::Fake]);
+            network.weight_gradients(workspace);
         }
-        for layer in &mut self.layers {
+        for layer in &mut network.layers {
             layer.step(&adam, losses.stepped);
         }
         Ok(losses)
@@ -318,19 +227,11 @@ impl Critic for CpuDiscriminator {
             });
         }
         let counts = self.place_mask(&fake, mask);
-        let slope = self.params.leaky_slope;
-        self.fake.forward(&fake, &self.layers, slope);
-        let loss = losses::mean_loss(self.fake.logits(), &counts, Side::Real);
-        self.fake.begin_backward(&counts, Side::Real);
-        for (index, layer) in self.layers.iter().enumerate().rev() {
-            self.fake.backward(index, layer, slope);
-        }
-        let gradient = &self.fake.gradients[0];
-        for (pixel, channels) in gradient.data.chunks(NUM_CHANNELS).enumerate() {
-            for (channel, value) in channels[NUM_CHANNELS - 3..].iter().enumerate() {
-                out[channel * num_pixels + pixel] = *value;
-            }
-        }
+        let (network, workspace) = (&mut self.network, &mut self.workspace);
+        network.forward(&[fake], workspace);
+        let loss = losses::mean_loss(workspace.logits(0), &counts, Side::Real);
+        network.begin_backward(workspace, &counts, &[Side::Real]);
+        network.patch_gradient(workspace, [fake.height, fake.width], out);
         Ok(loss)
     }
 
@@ -338,12 +239,12 @@ impl Critic for CpuDiscriminator {
         let mut out = Vec::new();
         out.extend_from_slice(MAGIC);
         out.extend_from_slice(&self.num_steps.to_le_bytes());
-        for layer in &self.layers {
+        for layer in &self.network.layers {
             for numbers in [
-                &layer.weights.weight,
-                &layer.weights.bias,
-                &layer.weight_moments.first,
-                &layer.weight_moments.second,
+                &layer.shape.to_plain(&layer.weights().weight),
+                &layer.weights().bias,
+                &layer.shape.to_plain(&layer.weight_moments.first),
+                &layer.shape.to_plain(&layer.weight_moments.second),
                 &layer.bias_moments.first,
                 &layer.bias_moments.second,
             ] {
@@ -351,45 +252,6 @@ impl Critic for CpuDiscriminator {
             }
         }
         Ok(out)
-    }
-}
-
-impl Layer {
-    fn step(&mut self, adam: &AdamStep, has_gradient: bool) {
-        let [real, fake] = &mut self.gradients;
-        if has_gradient {
-            let pairs = [
-                (&mut real.weight, &fake.weight),
-                (&mut real.bias, &fake.bias),
-            ];
-            for (sum, other) in pairs {
-                sum.iter_mut()
-                    .zip(other)
-                    .for_each(|(sum, value)| *sum += value);
-            }
-        }
-        let given = |gradient| has_gradient.then_some(gradient);
-        adam.apply(
-            &mut self.weights.weight,
-            &mut self.weight_moments,
-            given(real.weight.as_slice()),
-        );
-        adam.apply(
-            &mut self.weights.bias,
-            &mut self.bias_moments,
-            given(real.bias.as_slice()),
-        );
-    }
-}
-
-fn to_channels_last(patch: &PatchView<'_>, out: &mut Map) {
-    let num_pixels = patch.height * patch.width;
-    (out.height, out.width, out.channels) = (patch.height, patch.width, NUM_CHANNELS);
-    out.data.resize(num_pixels * NUM_CHANNELS, 0.0);
-    for (channel, plane) in patch.data.chunks(num_pixels.max(1)).enumerate() {
-        for (pixel, value) in out.data.chunks_mut(NUM_CHANNELS).zip(plane) {
-            pixel[channel] = *value;
-        }
     }
 }
 
@@ -415,19 +277,31 @@ fn mix(value: u64) -> u64 {
 
 #[cfg(test)]
 impl CpuDiscriminator {
-    /// Weights and biases, layer by layer.
-    pub(super) fn weights(&mut self) -> Vec<&mut Weights> {
-        self.layers
-            .iter_mut()
-            .map(|layer| &mut layer.weights)
+    /// Weights `[(ky · 4 + kx) · inputs + input][output]` and biases, layer by layer.
+    pub(super) fn weights(&self) -> Vec<Weights> {
+        let layers = self.network.layers.iter();
+        layers
+            .map(|layer| plain(layer.shape, layer.weights()))
             .collect()
     }
 
-    /// The gradients of the last step that had some.
-    pub(super) fn gradients(&self) -> Vec<&Weights> {
-        self.layers
-            .iter()
-            .map(|layer| &layer.gradients[0])
+    pub(super) fn set_biases(&mut self, layer: usize, biases: Vec<f32>) {
+        self.network.layers[layer].set_bias(biases);
+    }
+
+    /// The gradients of the last step that had some, in the order of [`Self::weights`].
+    pub(super) fn gradients(&self) -> Vec<Weights> {
+        let layers = self.network.layers.iter();
+        layers
+            .map(|layer| plain(layer.shape, &layer.gradients))
             .collect()
+    }
+}
+
+#[cfg(test)]
+fn plain(shape: Shape, weights: &Weights) -> Weights {
+    Weights {
+        weight: shape.to_plain(&weights.weight),
+        bias: weights.bias.clone(),
     }
 }

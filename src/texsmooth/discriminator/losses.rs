@@ -23,19 +23,22 @@ pub(super) fn mean_loss(logits: &[f32], counts: &[f32], side: Side) -> f32 {
     if total > 0.0 { mean } else { 0.0 }
 }
 
-/// The gradient of [`mean_loss`] by the logits.
-pub(super) fn gradient(logits: &[f32], counts: &[f32], side: Side, out: &mut Vec<f32>) {
-    let total: f32 = counts.iter().sum();
+/// How many places count.
+pub(super) fn total(counts: &[f32]) -> f32 {
+    counts.iter().sum()
+}
+
+/// The gradient of [`mean_loss`] by some of the logits, with `total` places that count.
+pub(super) fn gradient(logits: &[f32], counts: &[f32], total: f32, side: Side, out: &mut [f32]) {
     let scale = if total > 0.0 { 1.0 / total } else { 0.0 };
-    out.clear();
-    out.extend(logits.iter().zip(counts).map(|(&logit, &count)| {
+    for ((out, &logit), &count) in out.iter_mut().zip(logits).zip(counts) {
         let sigmoid = 1.0 / (1.0 + (-signed(logit, side)).exp());
         let slope = match side {
             Side::Real => -sigmoid,
             Side::Fake => sigmoid,
         };
-        count * scale * slope
-    }));
+        *out = count * scale * slope;
+    }
 }
 
 fn signed(logit: f32, side: Side) -> f32 {

@@ -1,6 +1,6 @@
 //! Which places of a layer's output count.
 
-use super::conv::{KERNEL, Shape};
+use super::layer::{KERNEL, Shape};
 
 /// Rows, columns, and 1 or 0 for each place.
 #[derive(Clone, Debug, PartialEq)]
