@@ -23,6 +23,8 @@ pub enum Adapters {
 /// An open device. Clones share it.
 #[derive(Clone, Debug)]
 pub struct GpuDevice {
+    instance: wgpu::Instance,
+    adapter: wgpu::Adapter,
     device: wgpu::Device,
     queue: wgpu::Queue,
     name: String,
@@ -85,6 +87,8 @@ impl GpuDevice {
             max_binding_bytes: limits
                 .max_storage_buffer_binding_size
                 .min(limits.max_buffer_size),
+            instance,
+            adapter,
             device,
             queue,
             name,
@@ -103,6 +107,11 @@ impl GpuDevice {
         self.is_software
     }
 
+    /// What libraries that share the device ask for.
+    pub fn handles(&self) -> (&wgpu::Instance, &wgpu::Adapter, &wgpu::Device, &wgpu::Queue) {
+        (&self.instance, &self.adapter, &self.device, &self.queue)
+    }
+
     /// Takes the device for a smaller one.
     #[cfg(test)]
     pub(super) fn limit_bindings(&mut self, max_binding_bytes: u64) {
@@ -110,7 +119,10 @@ impl GpuDevice {
     }
 
     /// Fails with what the driver complained of since the last call.
-    fn check(&self) -> Result<(), GpuError> {
+    ///
+    /// # Errors
+    /// [`GpuError::Driver`], once for each complaint.
+    pub fn check(&self) -> Result<(), GpuError> {
         let complaint = self
             .complaint
             .lock()

@@ -14,11 +14,15 @@
 //! depend on the instruction set, which the matrix kernels are chosen by.
 
 mod adam;
+#[cfg(feature = "gpu")]
+mod burn;
 mod conv;
 mod cpu;
 mod losses;
 mod mask;
 
+#[cfg(feature = "gpu")]
+pub use burn::GpuDiscriminator;
 pub use cpu::CpuDiscriminator;
 
 /// Pixels of zeros around each convolution's input.
