@@ -14,15 +14,15 @@ use super::raster::{RasterWorkspace, ViewBuffer, rasterize_part};
 #[cfg(feature = "gpu")]
 use super::gpu::{Adapters, GpuDevice, GpuMesh, GpuRasterizer};
 
-/// Where view buffers are drawn.
+/// Where work is done that a GPU can do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub enum Backend {
-    /// On the CPU.
+    /// On the CPU; the same bits every time.
+    #[default]
     Cpu,
     /// On a GPU, or on a driver that acts as one; an error where there is neither.
     Gpu,
     /// On a GPU where there is a real one, else on the CPU.
-    #[default]
     Auto,
 }
 
