@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Lints and tests of the feature `gpu`, on whatever Vulkan driver is there; a software one
+# Tests of the feature `gpu`, on whatever Vulkan driver is there; a software one
 # (Debian: mesa-vulkan-drivers) will do. Where there is none, or no time, it says SKIPPED and why.
 #
 #   scripts/test_gpu.sh
@@ -38,4 +38,3 @@ run() {
 
 run cargo test --locked --lib --features gpu -- --nocapture \
     render::gpu render::backend texsmooth::discriminator::burn
-run cargo clippy --locked --lib --tests --features gpu --quiet -- -D warnings
