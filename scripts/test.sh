@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
 # Everything that must hold before a change is merged: format, lints, the compute-only build,
-# documentation, and all tests. Needs Rust and a C compiler; tests against Python and npm peers
-# install what they need under target/, and say SKIPPED where they cannot.
+# documentation, all tests, and those of the feature `gpu` where there is a Vulkan driver. Needs Rust
+# and a C compiler; tests against Python and npm peers install what they need under target/, and say
+# SKIPPED where they cannot.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -22,3 +23,4 @@ if command -v cargo-nextest >/dev/null; then
 else
     step cargo test --locked --no-fail-fast --lib --bins --test all
 fi
+step scripts/test_gpu.sh

@@ -1,11 +1,15 @@
 //! What a camera sees of a mesh: triangle ids, depth, visibility, and the textured picture (L1).
 
+pub mod backend;
+#[cfg(feature = "gpu")]
+pub mod gpu;
 pub mod model;
 pub mod part;
 pub mod raster;
 pub mod textured;
 pub mod visibility;
 
+pub use backend::{Backend, GpuError, MeshViews, ViewRasterizer};
 pub use model::render_model;
 pub use part::{BoundingBox, Frustum, MeshPart, MeshRuns};
 pub use raster::{

@@ -27,11 +27,12 @@ use std::sync::Arc;
 use crate::geom::ImageError;
 use crate::keyframe::{DecodedFrame, Keyframe};
 
+pub use crate::render::Backend;
 pub use adv_optim::{
     NoObserver, Observer, SmoothError, SmoothFrom, SmoothReport, StepLosses, StepProgress, smooth,
 };
 pub use offsets::OffsetReport;
-pub use params::{Backend, L1Target, PartnerOffset, PartnerRule, SmoothStart, TexSmoothParams};
+pub use params::{L1Target, PartnerOffset, PartnerRule, SmoothStart, TexSmoothParams};
 
 /// Decodes a keyframe; called from many threads.
 pub type Decode<'a> = dyn Fn(&Keyframe) -> Result<Arc<DecodedFrame>, ImageError> + Sync + 'a;

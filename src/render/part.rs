@@ -114,6 +114,11 @@ impl MeshPart {
         }
     }
 
+    /// The triangles as ascending runs.
+    pub fn triangle_runs(&self) -> &[Range<u32>] {
+        &self.triangles
+    }
+
     /// The triangles, ascending, with their vertices.
     pub fn triangles<'a>(
         &'a self,

@@ -42,6 +42,10 @@ const NEAR: u8 = 16;
 const OUTSIDE: u8 = LEFT | RIGHT | ABOVE | BELOW | NEAR;
 const GUARD: u8 = 32;
 const NOT_FINITE: u8 = 64;
+/// Nothing is drawn of a triangle whose corners are all outside of one of these.
+pub(super) const DROPPED_BY_ALL: u8 = OUTSIDE;
+/// A triangle with a corner outside of one of these is not drawn as it is.
+pub(super) const NOT_WHOLE_BY_ANY: u8 = NEAR | GUARD | NOT_FINITE;
 
 /// What a camera sees, row-major from the top left.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -57,7 +61,7 @@ pub struct ViewBuffer {
 }
 
 impl ViewBuffer {
-    fn clear(&mut self, width: u32, height: u32) {
+    pub(super) fn clear(&mut self, width: u32, height: u32) {
         let num_pixels = width as usize * height as usize;
         self.width = width;
         self.height = height;
@@ -76,15 +80,43 @@ pub struct RasterWorkspace {
 
 /// A projected vertex, snapped to the sub-pixel grid.
 #[derive(Clone, Copy, Debug, Default)]
-struct ScreenVertex {
-    x: i32,
-    y: i32,
-    inv_z: f32,
-    outcode: u8,
+pub(super) struct ScreenVertex {
+    /// Column and row of 1/256 px.
+    pub(super) x: i32,
+    pub(super) y: i32,
+    /// 1/depth, 1/m.
+    pub(super) inv_z: f32,
+    /// Which half-spaces it is outside of.
+    pub(super) outcode: u8,
+}
+
+/// What becomes of a triangle whose corners have these outcodes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Fate {
+    /// Nothing of it is in the image.
+    Dropped,
+    /// It is drawn as it is.
+    Drawn,
+    /// [`clip_to_pieces`] says what of it is drawn.
+    Clipped,
+}
+
+impl Fate {
+    pub(super) fn of(outcodes: [u8; 3]) -> Self {
+        let [a, b, c] = outcodes;
+        let any = a | b | c;
+        if a & b & c & DROPPED_BY_ALL != 0 || any & NOT_FINITE != 0 {
+            Self::Dropped
+        } else if any & NOT_WHOLE_BY_ANY == 0 {
+            Self::Drawn
+        } else {
+            Self::Clipped
+        }
+    }
 }
 
 /// Camera and pose with the products that every vertex needs.
-struct Projector {
+pub(super) struct Projector {
     /// Rows: homogeneous column, homogeneous row, depth.
     pixels_from_world: Matrix3<f64>,
     offset: Vector3<f64>,
@@ -93,7 +125,7 @@ struct Projector {
 }
 
 impl Projector {
-    fn new(camera: &PinholeCamera, camera_from_world: &RigidTransform) -> Self {
+    pub(super) fn new(camera: &PinholeCamera, camera_from_world: &RigidTransform) -> Self {
         let [fx, fy, cx, cy] = camera.intrinsics_px();
         let intrinsics = Matrix3::new(fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0);
         let rotation = camera_from_world.rotation().to_rotation_matrix();
@@ -106,7 +138,7 @@ impl Projector {
     }
 
     /// (column · z, row · z, z).
-    fn homogeneous(&self, point_in_world: &Point3<f64>) -> Vector3<f64> {
+    pub(super) fn homogeneous(&self, point_in_world: &Point3<f64>) -> Vector3<f64> {
         self.pixels_from_world * point_in_world.coords + self.offset
     }
 
@@ -140,7 +172,7 @@ impl Projector {
         }
     }
 
-    fn project(&self, point_in_world: &Point3<f64>) -> ScreenVertex {
+    pub(super) fn project(&self, point_in_world: &Point3<f64>) -> ScreenVertex {
         let h = self.homogeneous(point_in_world);
         Self::snap(&h, self.outcode(&h))
     }
@@ -183,16 +215,15 @@ pub fn rasterize_part(
     part.map_vertices(mesh, vertices, |p| projector.project(p));
 
     for (triangle, corners) in part.front_to_back(mesh) {
-        let [a, b, c] = corners.map(|v| vertices[v as usize]);
-        let any = a.outcode | b.outcode | c.outcode;
-        if a.outcode & b.outcode & c.outcode & OUTSIDE != 0 || any & NOT_FINITE != 0 {
-            continue;
-        }
-        if any & (NEAR | GUARD) == 0 {
-            draw([a, b, c], triangle, out);
-        } else {
-            let points = corners.map(|v| projector.homogeneous(&mesh.positions_m()[v as usize]));
-            draw_clipped(points, triangle, out);
+        let on_screen = corners.map(|v| vertices[v as usize]);
+        match Fate::of(on_screen.map(|v| v.outcode)) {
+            Fate::Dropped => {}
+            Fate::Drawn => draw(on_screen, triangle, out),
+            Fate::Clipped => {
+                let points =
+                    corners.map(|v| projector.homogeneous(&mesh.positions_m()[v as usize]));
+                clip_to_pieces(points, |piece| draw(piece, triangle, out));
+            }
         }
     }
 
@@ -202,7 +233,9 @@ pub fn rasterize_part(
     }
 }
 
-fn draw_clipped(corners: [Vector3<f64>; 3], triangle: u32, out: &mut ViewBuffer) {
+/// Cuts a triangle, given in homogeneous coordinates, at the near plane and the guard band; gives
+/// `each` the triangles that are left.
+pub(super) fn clip_to_pieces(corners: [Vector3<f64>; 3], mut each: impl FnMut([ScreenVertex; 3])) {
     let half_spaces: [fn(&Vector3<f64>) -> f64; 5] = [
         |h| h.z - NEAR_M,
         |h| GUARD_PX * h.z + h.x,
@@ -227,11 +260,7 @@ fn draw_clipped(corners: [Vector3<f64>; 3], triangle: u32, out: &mut ViewBuffer)
         Projector::snap(&inside, 0)
     };
     for pair in rest.windows(2) {
-        draw(
-            [guarded(first), guarded(&pair[0]), guarded(&pair[1])],
-            triangle,
-            out,
-        );
+        each([guarded(first), guarded(&pair[0]), guarded(&pair[1])]);
     }
 }
 
@@ -431,4 +460,4 @@ pub fn barycentric(corners_in_camera: &[Point3<f64>; 3], ray: &Vector3<f64>) -> 
 }
 
 #[cfg(test)]
-mod tests;
+pub(super) mod tests;

@@ -17,17 +17,18 @@ use rayon::prelude::*;
 
 use super::align::AlignError;
 use super::checkpoint::{self, CheckpointError};
-use super::discriminator::{CpuDiscriminator, Critic, CriticError, PatchView};
+use super::discriminator::{self, Critic, CriticError, PatchView};
 use super::offsets::{OffsetReport, Offsets};
 use super::random::{Purpose, StepDraws};
 use super::texels::{AdamStep, Footprint, Texels, to_byte};
 use super::view::{CropSurface, PixelRect, Surface};
-use super::views::{Seen, Views, partners};
+use super::views::{Seen, UnseenError, Views, partners};
 use super::{Decode, L1Target, PartnerOffset, PartnerRule, SmoothStart, TexSmoothParams};
 use crate::atlas::{AtlasLayout, AtlasTexture, TextureMismatch};
 use crate::geom::ColorImage;
 use crate::keyframe::Keyframe;
 use crate::mesh::TriMesh;
+use crate::render::{GpuError, ViewRasterizer};
 
 /// Why the texture was not refined.
 #[derive(Debug, thiserror::Error)]
@@ -52,6 +53,9 @@ pub enum SmoothError {
     /// The discriminator refused.
     #[error("discriminator: {0}")]
     Critic(#[from] CriticError),
+    /// The device that was asked for is not there, or failed.
+    #[error(transparent)]
+    Device(#[from] GpuError),
     /// The checkpoint is damaged, or another run's.
     #[error("checkpoint: {0}")]
     Checkpoint(#[from] CheckpointError),
@@ -183,14 +187,13 @@ pub fn smooth(
         first_step = saved.num_steps;
         known_critic = Some(saved.critic);
     }
-    let critic = if params.has_discriminator {
-        Some(make_critic(params, known_critic.as_deref())?)
+    let rasterizer = ViewRasterizer::new(params.backend)?;
+    let (critic, backend) = if params.has_discriminator {
+        let known = known_critic.as_deref();
+        let made = discriminator::make(&rasterizer, &params.discriminator, params.seed, known)?;
+        (Some(made), rasterizer.device_name())
     } else {
-        None
-    };
-    let backend = match critic {
-        Some(_) => "cpu",
-        None => "none",
+        (None, "none")
     };
 
     let budget_bytes = (params.view_cache_mb.max(0.0) * 1e6).min(1e15);
@@ -199,7 +202,12 @@ pub fn smooth(
         clippy::cast_sign_loss,
         reason = "clamped above"
     )]
-    let views = Views::new(mesh, frames, decode, budget_bytes as usize);
+    let views = Views::new(
+        rasterizer.load(mesh)?,
+        frames,
+        decode,
+        budget_bytes as usize,
+    );
     let mut run = Optimisation {
         params,
         on: Surface { mesh, layout },
@@ -268,16 +276,6 @@ pub fn smooth(
     Ok(report)
 }
 
-fn make_critic(
-    params: &TexSmoothParams,
-    known: Option<&[u8]>,
-) -> Result<Box<dyn Critic>, CriticError> {
-    Ok(match known {
-        Some(bytes) => Box::new(CpuDiscriminator::load(bytes, &params.discriminator)?),
-        None => Box::new(CpuDiscriminator::new(&params.discriminator, params.seed)?),
-    })
-}
-
 /// A partner that sees less of the crop than this share is none.
 const MIN_PARTNER_SHARE: usize = 10;
 /// Rows of points, along each side of a crop, that a partner is looked for by.
@@ -299,9 +297,13 @@ impl Optimisation<'_> {
     fn step(&mut self, step: usize) -> Result<Option<StepLosses>, SmoothError> {
         let draws = StepDraws::new(self.params.seed, step as u64);
         let index = draws.below(Purpose::View, self.views.len());
-        let Ok(seen) = self.views.get(index) else {
-            self.report.num_undecodable += 1;
-            return Ok(None);
+        let seen = match self.views.get(index) {
+            Ok(seen) => seen,
+            Err(UnseenError::Photo(_)) => {
+                self.report.num_undecodable += 1;
+                return Ok(None);
+            }
+            Err(UnseenError::Device(error)) => return Err(error.into()),
         };
         let rect = self.draw_crop(draws, &seen.photo.color);
         let offset_px = self.offset(index, &seen, rect)?;

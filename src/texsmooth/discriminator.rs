@@ -14,6 +14,8 @@
 //! depend on the instruction set, which the matrix kernels are chosen by.
 
 mod adam;
+#[cfg(feature = "gpu")]
+mod burn;
 mod conv;
 mod cpu;
 mod grid;
@@ -22,7 +24,11 @@ mod losses;
 mod mask;
 mod network;
 
+#[cfg(feature = "gpu")]
+pub use burn::GpuDiscriminator;
 pub use cpu::CpuDiscriminator;
+
+use crate::render::ViewRasterizer;
 
 /// Pixels of zeros around each convolution's input.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
@@ -173,6 +179,33 @@ pub trait Critic: Send {
     /// # Errors
     /// [`CriticError::Device`] when a graphics card does not give them.
     fn save(&self) -> Result<Vec<u8>, CriticError>;
+}
+
+/// A discriminator where the views are drawn: as `known` was saved, or one that has learnt nothing.
+///
+/// # Errors
+/// [`CriticError`] for bytes that are none, or where the device fails.
+#[cfg_attr(
+    not(feature = "gpu"),
+    expect(unused_variables, reason = "there is no device to ask for")
+)]
+pub fn make(
+    rasterizer: &ViewRasterizer,
+    params: &DiscriminatorParams,
+    seed: u64,
+    known: Option<&[u8]>,
+) -> Result<Box<dyn Critic>, CriticError> {
+    #[cfg(feature = "gpu")]
+    if let Some(device) = rasterizer.device() {
+        return Ok(match known {
+            Some(bytes) => Box::new(GpuDiscriminator::load(device, bytes, params)?),
+            None => Box::new(GpuDiscriminator::new(device, params, seed)?),
+        });
+    }
+    Ok(match known {
+        Some(bytes) => Box::new(CpuDiscriminator::load(bytes, params)?),
+        None => Box::new(CpuDiscriminator::new(params, seed)?),
+    })
 }
 
 #[cfg(test)]

@@ -2,6 +2,7 @@
 
 use super::align::{AlignForm, AlignParams};
 use super::discriminator::{DiscriminatorParams, Gate, Padding};
+use crate::render::Backend;
 
 /// What the optimisation starts from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
@@ -11,18 +12,6 @@ pub enum SmoothStart {
     Texture,
     /// Mid grey wherever the texture is painted (AdvTex-B).
     Blank,
-}
-
-/// Where views are drawn and the discriminator runs.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
-pub enum Backend {
-    /// Here; the same bits every time.
-    #[default]
-    Cpu,
-    /// On a graphics card; an error where there is none.
-    Gpu,
-    /// On a graphics card where there is one.
-    Auto,
 }
 
 /// What the L1 term compares the rendering with.

@@ -9,8 +9,7 @@ use super::view::View;
 use super::{Decode, PartnerRule};
 use crate::geom::ImageError;
 use crate::keyframe::{DecodedFrame, Keyframe};
-use crate::mesh::TriMesh;
-use crate::render::raster::{RasterWorkspace, ViewBuffer, rasterize};
+use crate::render::{GpuError, MeshViews, ViewBuffer};
 
 /// A view with its photo.
 #[derive(Clone)]
@@ -19,9 +18,20 @@ pub(super) struct Seen {
     pub(super) photo: Arc<DecodedFrame>,
 }
 
+/// Why there is no view.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum UnseenError {
+    /// Its photo does not decode.
+    #[error(transparent)]
+    Photo(#[from] ImageError),
+    /// It could not be drawn.
+    #[error(transparent)]
+    Device(#[from] GpuError),
+}
+
 /// Views by index; those used last stay in memory, up to a number of bytes.
 pub(super) struct Views<'a> {
-    mesh: &'a TriMesh,
+    mesh: MeshViews<'a>,
     frames: &'a [Arc<Keyframe>],
     decode: &'a Decode<'a>,
     budget_bytes: usize,
@@ -29,12 +39,11 @@ pub(super) struct Views<'a> {
     /// The one used last comes last.
     order: VecDeque<usize>,
     num_bytes: usize,
-    workspace: RasterWorkspace,
 }
 
 impl<'a> Views<'a> {
     pub(super) fn new(
-        mesh: &'a TriMesh,
+        mesh: MeshViews<'a>,
         frames: &'a [Arc<Keyframe>],
         decode: &'a Decode<'a>,
         budget_bytes: usize,
@@ -47,7 +56,6 @@ impl<'a> Views<'a> {
             kept: vec![None; frames.len()],
             order: VecDeque::new(),
             num_bytes: 0,
-            workspace: RasterWorkspace::default(),
         }
     }
 
@@ -60,7 +68,7 @@ impl<'a> Views<'a> {
     }
 
     /// A view and its photo.
-    pub(super) fn get(&mut self, index: usize) -> Result<Seen, ImageError> {
+    pub(super) fn get(&mut self, index: usize) -> Result<Seen, UnseenError> {
         let photo = (self.decode)(&self.frames[index])?;
         if let Some(view) = self.kept[index].clone() {
             self.order.retain(|&other| other != index);
@@ -70,13 +78,8 @@ impl<'a> Views<'a> {
         let keyframe = &self.frames[index];
         let camera_from_world = keyframe.world_from_camera.inverse();
         let mut buffer = ViewBuffer::default();
-        rasterize(
-            self.mesh,
-            &photo.color_camera,
-            &camera_from_world,
-            &mut self.workspace,
-            &mut buffer,
-        );
+        self.mesh
+            .rasterize(&photo.color_camera, &camera_from_world, &mut buffer)?;
         let view = Arc::new(View {
             camera: photo.color_camera,
             camera_from_world,

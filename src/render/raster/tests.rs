@@ -8,7 +8,7 @@ use crate::mesh::TriangleId;
 use nalgebra::{UnitQuaternion, Vector3};
 use proptest::prelude::*;
 
-fn draw_view(
+pub(in crate::render) fn draw_view(
     mesh: &TriMesh,
     camera: &PinholeCamera,
     camera_from_world: &RigidTransform,
@@ -24,7 +24,7 @@ fn draw_view(
     view
 }
 
-fn mesh_of(positions: Vec<[f64; 3]>, triangles: Vec<[u32; 3]>) -> TriMesh {
+pub(in crate::render) fn mesh_of(positions: Vec<[f64; 3]>, triangles: Vec<[u32; 3]>) -> TriMesh {
     let positions = positions.into_iter().map(Point3::from).collect();
     TriMesh::from_soup(positions, triangles).unwrap().0
 }
@@ -92,7 +92,7 @@ fn distance_to_edges_px(
     nearest
 }
 
-fn random_scene(seed: u64, num_triangles: usize, spread: f64) -> TriMesh {
+pub(in crate::render) fn random_scene(seed: u64, num_triangles: usize, spread: f64) -> TriMesh {
     let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
     let mut next = || {
         state ^= state << 13;

@@ -126,7 +126,29 @@ impl CpuDiscriminator {
         Ok(Self::from_layers(params, layers, num_steps))
     }
 
-    fn check(&self, patch: &PatchView<'_>, mask: &[f32]) -> Result<(), CriticError> {
+    /// Steps of Adam so far.
+    #[cfg(feature = "gpu")]
+    pub(super) fn num_steps_mut(&mut self) -> &mut u64 {
+        &mut self.num_steps
+    }
+
+    /// Layer by layer: weights and biases, both moments of the weights, both of the biases.
+    #[cfg(feature = "gpu")]
+    pub(super) fn numbers_mut(&mut self) -> impl Iterator<Item = (Shape, [&mut Vec<f32>; 6])> {
+        self.layers.iter_mut().map(|layer| {
+            let numbers = [
+                &mut layer.weights.weight,
+                &mut layer.weights.bias,
+                &mut layer.weight_moments.first,
+                &mut layer.weight_moments.second,
+                &mut layer.bias_moments.first,
+                &mut layer.bias_moments.second,
+            ];
+            (layer.shape, numbers)
+        })
+    }
+
+    pub(super) fn check(&self, patch: &PatchView<'_>, mask: &[f32]) -> Result<(), CriticError> {
         let num_pixels = patch.height * patch.width;
         let length = |what, actual, expected| {
             if actual == expected {
@@ -158,7 +180,7 @@ impl CpuDiscriminator {
         })
     }
 
-    fn place_mask(&self, patch: &PatchView<'_>, mask: &[f32]) -> Vec<f32> {
+    pub(super) fn place_mask(&self, patch: &PatchView<'_>, mask: &[f32]) -> Vec<f32> {
         let mut places = PlaceMask {
             height: patch.height,
             width: patch.width,
