@@ -43,10 +43,10 @@ impl Default for PoseParams {
     fn default() -> Self {
         Self {
             align: AlignParams::default(),
-            max_rounds: 6,
-            damping: 0.7,
+            max_rounds: 4,
+            damping: 0.8,
             max_turn_rad: 0.05,
-            max_width_px: 640,
+            max_width_px: 480,
             min_foreign_share: 0.08,
             min_gain: 0.002,
         }
@@ -161,3 +161,6 @@ pub fn turned(
         ..keyframe.clone()
     })
 }
+
+#[cfg(test)]
+mod tests;

@@ -95,15 +95,17 @@ pub(super) fn correct(
             break;
         }
 
-        let poses = keyframes.to_vec();
+        let mut poses = keyframes.to_vec();
         for (index, keyframe) in keyframes.iter_mut().enumerate() {
             if is_settled[index] {
                 continue;
             }
-            if let Some((poses, last)) = &before
+            if let Some((last_poses, last)) = &before
                 && has_risen(last[index].residual_255, measures[index].residual_255)
             {
-                *keyframe = Arc::clone(&poses[index]);
+                // Put back for good, should this round be undone.
+                *keyframe = Arc::clone(&last_poses[index]);
+                poses[index] = Arc::clone(keyframe);
                 is_settled[index] = true;
                 report.num_put_back += 1;
                 continue;
