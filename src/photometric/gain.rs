@@ -289,8 +289,8 @@ impl Problem {
             };
             let mut mean = [0.0; 3];
             for (seen, weight) in parts() {
-                for c in 0..3 {
-                    mean[c] += weight * seen.log_linear[c] / total;
+                for (mean, log_linear) in mean.iter_mut().zip(&seen.log_linear) {
+                    *mean += weight * log_linear / total;
                 }
             }
             for (seen, weight) in parts() {
@@ -313,8 +313,8 @@ impl Problem {
                 };
                 let mut mean = [0.0; 3];
                 for (seen, weight) in parts() {
-                    for c in 0..3 {
-                        mean[c] += weight * x[seen.frame as usize][c] / total;
+                    for (mean, x) in mean.iter_mut().zip(&x[seen.frame as usize]) {
+                        *mean += weight * x / total;
                     }
                 }
                 for (seen, weight) in parts() {

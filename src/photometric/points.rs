@@ -130,7 +130,6 @@ fn look(
     let focal_px = fx.min(fy);
     #[expect(
         clippy::cast_possible_truncation,
-        clippy::cast_sign_loss,
         reason = "a share below 0.1 of a width"
     )]
     let radius_px = (f64::from(camera.width()) * params.window_share).round() as i64;

@@ -40,9 +40,9 @@ pub(super) fn solve(
     let laplacian = Laplacian::new(nodes.len(), &links, pull);
     let mut rhs = vec![[0.0; 3]; nodes.len()];
     for link in &links {
-        for c in 0..3 {
-            rhs[link.from as usize][c] -= link.weight * link.wanted[c];
-            rhs[link.to as usize][c] += link.weight * link.wanted[c];
+        for (c, wanted) in link.wanted.iter().enumerate() {
+            rhs[link.from as usize][c] -= link.weight * wanted;
+            rhs[link.to as usize][c] += link.weight * wanted;
         }
     }
     let mut x = vec![[0.0; 3]; nodes.len()];

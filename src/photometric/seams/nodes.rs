@@ -16,8 +16,7 @@ impl Nodes {
     pub(super) fn new(mesh: &TriMesh, labels: &[Option<u32>]) -> Self {
         let labelled = || mesh.triangles().iter().zip(labels);
         let mut pairs: Vec<(u32, u32)> = labelled()
-            .filter_map(|(corners, label)| Some(corners.map(|v| label.map(|l| (v, l)))))
-            .flatten()
+            .flat_map(|(corners, label)| corners.map(|v| label.map(|l| (v, l))))
             .flatten()
             .collect();
         pairs.sort_unstable();
