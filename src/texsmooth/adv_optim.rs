@@ -155,6 +155,10 @@ pub struct SmoothReport {
 /// # Errors
 /// [`SmoothError`] for a layout, texture, setting or checkpoint that does not fit. Frames that do not
 /// decode are no error: they are counted.
+#[expect(
+    clippy::too_many_arguments,
+    reason = "a mesh with its layout and texture, the photos, and how to go about it"
+)]
 pub fn smooth(
     mesh: &TriMesh,
     layout: &AtlasLayout,
@@ -619,9 +623,9 @@ impl Crop<'_> {
         let stacked = |image: &[f32]| {
             let mut patch = vec![0.0f32; 6 * num];
             for c in 0..3 {
-                for i in 0..num {
+                for (i, counts) in mask.iter().enumerate() {
                     let at = c * num + i;
-                    let (photo, value) = if mask[i] > 0.0 {
+                    let (photo, value) = if *counts > 0.0 {
                         (self.photo[at], image[at])
                     } else {
                         (-1.0, -1.0)

@@ -337,8 +337,7 @@ impl Tile {
             moments.num_steps[place] = count;
             let correct1 = 1.0 - beta1.powi(i32::from(count));
             let correct2 = 1.0 - beta2.powi(i32::from(count));
-            for channel in 0..3 {
-                let g = gradient[place][channel];
+            for (channel, &g) in gradient[place].iter().enumerate() {
                 let first = &mut moments.first[place][channel];
                 *first = beta1 * *first + (1.0 - beta1) * g;
                 let second = &mut moments.second[place][channel];
