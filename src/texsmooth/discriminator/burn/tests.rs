@@ -130,9 +130,9 @@ fn losses_and_gradients_of_every_layer_are_the_cpus() {
         assert_losses_agree(case.step(&mut on_device, Gate::Always), expected);
         let mut found = fetched(&on_device);
         for (layer, (cpu, found)) in cpu.numbers_mut().zip(found.numbers_mut()).enumerate() {
-            for at in 2..6 {
+            for (at, name) in NUMBERS.iter().enumerate().skip(2) {
                 let error = difference(found.1[at], cpu.1[at]);
-                assert!(error < 1e-5, "layer {layer}, {}: {error}", NUMBERS[at]);
+                assert!(error < 1e-5, "layer {layer}, {name}: {error}");
             }
             // Adam's first step is the gradient's sign, near enough, times the learning rate.
             let rate = case.params.learning_rate;
@@ -183,9 +183,9 @@ fn where_the_discriminator_is_ahead_it_goes_on_by_momentum() {
     let mut found = fetched(&on_device);
     assert_eq!(*found.num_steps_mut(), 2);
     for (cpu, found) in cpu.numbers_mut().zip(found.numbers_mut()) {
-        for at in 2..6 {
+        for (at, name) in NUMBERS.iter().enumerate().skip(2) {
             let error = difference(found.1[at], cpu.1[at]);
-            assert!(error < 1e-5, "{}: {error}", NUMBERS[at]);
+            assert!(error < 1e-5, "{name}: {error}");
         }
     }
 }
