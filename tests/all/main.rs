@@ -30,4 +30,5 @@ mod python;
 mod replay;
 mod report;
 mod synth;
+mod texsmooth;
 mod textured_room;
