@@ -20,7 +20,7 @@ pub mod seams;
 pub use corrected::CorrectedFrames;
 pub use gain::{GainParams, GainReport, GainTable, estimate_gains};
 pub use pose::{PoseMeasure, PoseParams, measure_poses, turned};
-pub use seams::{SeamParams, SeamReport, level_seams};
+pub use seams::{SeamParams, SeamPhoto, SeamReport, level_seams};
 
 use crate::atlas::texture::TextureMismatch;
 use crate::mesh::MeshError;

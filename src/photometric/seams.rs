@@ -1,7 +1,9 @@
 //! Seam levelling: no step where the frame that paints changes.
 //!
-//! After Waechter, Moehrle, Goesele, "Let there be color!", ECCV 2014, with steps in linear light
-//! and read from the texture just inside either triangle. Globally: every vertex has a correction
+//! After Waechter, Moehrle, Goesele, "Let there be color!", ECCV 2014, with steps in linear light.
+//! Steps are the difference of the two photos at points of the seam, where a change of the surface's
+//! own colour is in both; without photos they are read from the texture just inside either triangle,
+//! which takes such a change for a step. The report's steps are the texture's. Globally: every vertex has a correction
 //! per label around it, such that corrections make up for the step at seams and vary little
 //! within a label; a weak pull to 0 keeps what lies farther than [`SeamParams::reach_m`] from a
 //! seam as it is. Corrections are interpolated over triangles and added. Locally: what step is left
@@ -22,6 +24,7 @@ use crate::mesh::TriMesh;
 use super::{PhotometricError, check};
 use apply::Painter;
 use nodes::Nodes;
+pub use samples::SeamPhoto;
 use samples::{find_seams, mean_step};
 
 /// How seams are levelled.
@@ -74,7 +77,8 @@ pub struct SeamReport {
 }
 
 /// Levels the seams of `texture`. `labels` has the frame of each triangle as an index into
-/// `sources`, the texel sources of the frames. Gutters are left for the caller to paint again.
+/// `sources`, the texel sources of the frames, and into `photos`, where steps are taken from these
+/// and not from the texture. Gutters are left for the caller to paint again.
 ///
 /// # Errors
 /// [`PhotometricError`] for a parameter out of range, or inputs that do not belong together.
@@ -83,6 +87,7 @@ pub fn level_seams(
     layout: &AtlasLayout,
     labels: &[Option<u32>],
     sources: &[TexelSource],
+    photos: Option<&[Option<SeamPhoto>]>,
     params: &SeamParams,
     texture: &mut AtlasTexture,
 ) -> Result<SeamReport, PhotometricError> {
@@ -126,11 +131,19 @@ pub fn level_seams(
     };
     report.step_before = sample(&mut seams, texture);
     report.step_after_global = report.step_before;
+    if let Some(photos) = photos {
+        samples::sample_photos(&mut seams, mesh, labels, photos, params.max_step);
+    }
     if params.has_global && !seams.is_empty() {
         let (corrections, num_steps) = global::solve(mesh, &nodes, &seams, params);
         report.num_solver_steps = num_steps;
         report.num_changed_texels += global::paint(&painter, &nodes, &corrections, texture);
-        report.step_after_global = sample(&mut seams, texture);
+        let mut seen = seams.clone();
+        report.step_after_global = sample(&mut seen, texture);
+        match photos {
+            Some(_) => samples::add_corrections(&mut seams, &nodes, &corrections),
+            None => seams = seen,
+        }
     }
     report.step_after = report.step_after_global;
     if params.has_local && !seams.is_empty() {

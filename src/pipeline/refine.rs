@@ -3,6 +3,8 @@
 use std::sync::Arc;
 use std::time::Instant;
 
+use rayon::prelude::*;
+
 use super::clock::StageClock;
 use super::pose_rounds::PoseReport;
 use super::run::{PipelineError, PipelineParams};
@@ -10,8 +12,8 @@ use crate::atlas::{TexelSource, dilate_gutters};
 use crate::keyframe::Keyframe;
 use crate::mesh::TriMesh;
 use crate::photometric::{
-    CorrectedFrames, GainParams, GainReport, GainTable, PoseParams, SeamParams, SeamReport,
-    estimate_gains, level_seams,
+    CorrectedFrames, GainParams, GainReport, GainTable, PoseParams, SeamParams, SeamPhoto,
+    SeamReport, estimate_gains, level_seams,
 };
 use crate::texinit::{Decode, TexInit, TexInitError};
 
@@ -108,6 +110,7 @@ pub fn corrected<'a>(
 pub fn level(
     mesh: &TriMesh,
     keyframes: &[Arc<Keyframe>],
+    decode: &Decode<'_>,
     texinit: &mut TexInit,
     params: &PipelineParams,
     clock: &StageClock<'_>,
@@ -128,6 +131,7 @@ pub fn level(
         &texinit.layout,
         &texinit.assignment.label,
         &sources,
+        Some(&seam_photos(keyframes, decode)),
         seams,
         &mut texinit.texture,
     )?;
@@ -137,4 +141,22 @@ pub fn level(
     }
     report.seconds[1] = begun.elapsed().as_secs_f64();
     Ok(())
+}
+
+/// Columns of the photos that seams look at: a pixel is then a mean over what a seam is wide.
+const SEAM_PHOTO_WIDTH_PX: u32 = 480;
+
+fn seam_photos(keyframes: &[Arc<Keyframe>], decode: &Decode<'_>) -> Vec<Option<SeamPhoto>> {
+    keyframes
+        .par_iter()
+        .map(|keyframe| {
+            let frame = decode(keyframe).ok()?;
+            let factor = frame.color.width().div_ceil(SEAM_PHOTO_WIDTH_PX);
+            Some(SeamPhoto {
+                color: frame.color.reduced(factor),
+                camera: frame.color_camera.reduced(factor).ok()?,
+                camera_from_world: keyframe.world_from_camera.inverse(),
+            })
+        })
+        .collect()
 }

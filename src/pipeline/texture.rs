@@ -65,6 +65,7 @@ pub fn texture_scan(
     refine::level(
         &scan.mesh,
         &keyframes,
+        &decode,
         &mut texinit,
         params,
         clock,

@@ -1,13 +1,16 @@
 //! Edges between labels, and the colours on their two sides.
 
+use nalgebra::Point3;
 use rayon::prelude::*;
 
 use crate::atlas::{AtlasLayout, AtlasTexture, TexelSource};
 use crate::geom::color::linear_from_srgb;
+use crate::geom::{ColorImage, PinholeCamera, RigidTransform};
 use crate::mesh::adjacency::EdgeTable;
 use crate::mesh::{TriMesh, TriangleId};
 
 use super::super::PhotometricError;
+use super::nodes::Nodes;
 
 /// Samples along an edge.
 const MIN_SAMPLES: usize = 3;
@@ -134,6 +137,95 @@ pub(super) fn sample(
                 step.filter(|step: &[f32; 3]| step.iter().all(|s| f64::from(s.abs()) <= max_step));
         }
     });
+}
+
+/// A keyframe's photo as seams look at it: small, so that a pixel is a mean over its surroundings.
+#[derive(Clone, Debug)]
+pub struct SeamPhoto {
+    /// The photo, reduced.
+    pub color: ColorImage,
+    /// Its camera.
+    pub camera: PinholeCamera,
+    /// Its pose.
+    pub camera_from_world: RigidTransform,
+}
+
+/// Takes the steps from the photos instead: both show the points of the edge, so that a change of
+/// the surface's own colour there is in both and no step.
+pub(super) fn sample_photos(
+    seams: &mut [Seam],
+    mesh: &TriMesh,
+    labels: &[Option<u32>],
+    photos: &[Option<SeamPhoto>],
+    max_step: f64,
+) {
+    seams.par_iter_mut().for_each(|seam| {
+        let photo_of = |side: &Side| {
+            let label = labels[side.triangle as usize]?;
+            photos.get(label as usize)?.as_ref()
+        };
+        let photos = (photo_of(&seam.sides[0]), photo_of(&seam.sides[1]));
+        let [start_m, end_m] = seam.ends.map(|v| mesh.positions_m()[v as usize]);
+        for k in 0..seam.num_samples {
+            let point_m = start_m + (end_m - start_m) * seam.share_of(k);
+            let step = match photos {
+                (Some(first), Some(second)) => first
+                    .linear_at(&point_m)
+                    .zip(second.linear_at(&point_m))
+                    .map(|(first, second)| std::array::from_fn(|c| second[c] - first[c])),
+                _ => None,
+            };
+            seam.steps[k] =
+                step.filter(|step: &[f32; 3]| step.iter().all(|s| f64::from(s.abs()) <= max_step));
+        }
+    });
+}
+
+impl SeamPhoto {
+    /// Linear colour where a point lands; `None` outside the photo, or where it is clipped.
+    fn linear_at(&self, point_m: &Point3<f64>) -> Option<[f32; 3]> {
+        let pixel = self
+            .camera
+            .project(&self.camera_from_world.transform_point(point_m))?;
+        if !self.camera.contains(pixel) {
+            return None;
+        }
+        #[expect(clippy::cast_possible_truncation, reason = "rounding to f32 is meant")]
+        let srgb = self.color.sample_bilinear(pixel.map(|px| px as f32));
+        let is_clipped = srgb.iter().any(|value| *value > 250.0);
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "a mean of bytes"
+        )]
+        let linear = srgb.map(|value| linear_from_srgb((value + 0.5) as u8));
+        (!is_clipped).then_some(linear)
+    }
+}
+
+/// Adds what the global correction has done to the steps.
+pub(super) fn add_corrections(seams: &mut [Seam], nodes: &Nodes, corrections: &[[f32; 3]]) {
+    for seam in seams {
+        let at = |side: &Side, end: usize| {
+            let node = nodes.of(side.triangle)[side.corners[end]];
+            corrections.get(node as usize).copied().unwrap_or([0.0; 3])
+        };
+        let [first, second] = [0, 1].map(|side| {
+            let side = &seam.sides[side];
+            [at(side, 0), at(side, 1)]
+        });
+        for k in 0..seam.num_samples {
+            #[expect(clippy::cast_possible_truncation, reason = "rounding to f32 is meant")]
+            let share = seam.share_of(k) as f32;
+            if let Some(step) = &mut seam.steps[k] {
+                for (c, step) in step.iter_mut().enumerate() {
+                    let between =
+                        |ends: &[[f32; 3]; 2]| ends[0][c] + share * (ends[1][c] - ends[0][c]);
+                    *step += between(&second) - between(&first);
+                }
+            }
+        }
+    }
 }
 
 /// The colour of a side at its edge; `None` where its label does not show there.

@@ -107,6 +107,7 @@ impl Sheet {
             &self.layout,
             &self.labels,
             &self.sources,
+            None,
             params,
             texture,
         )
@@ -245,6 +246,7 @@ fn nothing_to_level_is_no_error_and_misfits_are() {
                 &sheet.layout,
                 labels,
                 &sheet.sources,
+                None,
                 params,
                 texture,
             )
