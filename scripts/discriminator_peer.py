@@ -6,8 +6,7 @@ usage: discriminator_peer.py EXAMPLE [--side PX] [--steps N] [--threads N] [--pa
 EXAMPLE is target/release/examples/discriminator. Compares losses, every layer's gradients, the
 weights after a step and the texture's gradient with PyTorch's in double precision; then times both,
 ours before and after PyTorch, in single precision, and prints a table. Ends with 1 where a loss or a
-gradient is further than 1e-5 of the largest from the truth, unless PyTorch's own in single precision
-is no nearer.
+gradient is further than 1e-5 of the largest from the truth.
 """
 
 import argparse
@@ -26,6 +25,8 @@ LAYERS = [(6, 64, 2), (64, 128, 2), (128, 128, 2), (128, 128, 1), (128, 1, 1)]
 SLOPE = 0.2
 MASK_THRESHOLD = 0.1
 TOLERANCE = 1e-5
+# A value this near 0 may have either sign in single precision, and then either slope.
+KINK = 2e-8
 
 
 def read_saved(path):
@@ -60,6 +61,8 @@ def read_saved(path):
 class Peer:
     def __init__(self, layers, mask, padding, dtype=torch.float32):
         self.padding = padding
+        # Per layer and output: the nearest that a value came to the kink of the leaky ReLU.
+        self.least = [None] * len(LAYERS)
         self.parameters = []
         for layer in layers:
             for name in ("weight", "bias"):
@@ -77,6 +80,7 @@ class Peer:
         for index, (_, _, stride) in enumerate(LAYERS):
             weight, bias = self.parameters[2 * index : 2 * index + 2]
             out = functional.conv2d(out, weight, bias, stride=stride, padding=self.padding)
+            self.least[index] = out.detach().abs().amin((0, 2, 3))
             if index + 1 < len(LAYERS):
                 out = functional.leaky_relu(out, SLOPE)
         return out
@@ -84,12 +88,15 @@ class Peer:
     def mean(self, losses):
         return (losses * self.counts).sum() / self.counts.sum()
 
-    def step(self, both):
+    def step(self, both, measure=False):
         self.adam.zero_grad(set_to_none=True)
         logits = self.logits(both)
         real = self.mean(functional.softplus(-logits[:1]))
         fake = self.mean(functional.softplus(logits[1:]))
         texture = self.mean(functional.softplus(-logits[1:].detach()))
+        if measure:
+            parts = torch.autograd.grad(real, self.parameters, retain_graph=True)
+            self.largest = [part.abs().max() for part in parts]
         (real + fake).backward()
         self.adam.step()
         return real.item(), fake.item(), texture.item()
@@ -154,15 +161,18 @@ def main():
         both = torch.cat([real, fake])
         is_wrong = False
 
-        def compare(what, found, peer, truth):
+        def compare(what, found, peer, truth, largest=None):
             nonlocal is_wrong
-            far = lambda x: ((x - truth).abs().max() / truth.abs().max()).item()
+            largest = truth.abs().max() if largest is None else largest
+            far = lambda x: ((x - truth).abs().max() / largest).item()
             ours_far, peer_far = far(found.double()), far(peer.double())
-            is_wrong |= not ours_far <= max(TOLERANCE, peer_far)
+            is_wrong |= not ours_far <= TOLERANCE
             print(f"{what}: {ours_far:.1e} of the largest from the truth (PyTorch {peer_far:.1e})")
 
         peer, truth = Peer(before, mask, padding), Peer(before, mask, padding, torch.float64)
-        losses, true_losses = peer.step(both), truth.step(both.double())
+        losses, true_losses = peer.step(both), truth.step(both.double(), True)
+        truth_least = truth.least
+        truth_least[-1] = torch.full((1,), torch.inf)
         for name, loss, true_loss in zip(("real", "fake", "texture"), losses, true_losses):
             found = torch.tensor(ours[0]["losses"][name])
             compare(f"loss {name}", found, torch.tensor(loss), torch.tensor(true_loss).double())
@@ -172,7 +182,12 @@ def main():
                 # After one step the first moment is half the gradient, exactly.
                 found = 2 * layer[f"{name}_first"]
                 what = f"layer {index + 1} {name} gradient"
-                compare(what, found, peer.parameters[at].grad, truth.parameters[at].grad)
+                # Those of the real and the fake patch nearly cancel at first; one is the measure.
+                judged = truth_least[index] > KINK
+                if not judged.all():
+                    what += f" (less {(~judged).sum()} outputs at a kink)"
+                rows = [x[judged] for x in (found, peer.parameters[at].grad, truth.parameters[at].grad)]
+                compare(what, *rows, truth.largest[at])
                 # Where a gradient is near 0, Adam's first step is its sign, full size.
                 apart = (layer[name] - truth.parameters[at].detach()).abs().mean()
                 print(f"layer {index + 1} {name} after the step: {apart:.1e} apart on average")
