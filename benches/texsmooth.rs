@@ -1,8 +1,10 @@
-//! The discriminator on a crop of 256×256.
+//! The discriminator on a crop of 256×256, and alignment of photo and rendering.
 
 use std::time::Duration;
 
 use criterion::{Criterion, SamplingMode};
+use veneer::geom::ColorImage;
+use veneer::texsmooth::align::{AlignForm, AlignParams, align};
 use veneer::texsmooth::discriminator::{
     CpuDiscriminator, Critic, DiscriminatorParams, Gate, NUM_CHANNELS, PatchView,
 };
@@ -48,5 +50,46 @@ pub(crate) fn bench(criterion: &mut Criterion) {
                 .expect("a gradient")
         });
     });
+    group.finish();
+    bench_align(criterion);
+}
+
+/// `align/refined`, `align/phase`, `align/reference`: 1920×1440, three channels, the rendering moved
+/// by (14, −9) pixels and a seventh of it masked.
+fn bench_align(criterion: &mut Criterion) {
+    let (width, height) = (1920u32, 1440u32);
+    let picture = |dx: f32, dy: f32| {
+        let pixel = |i: u32| {
+            let (x, y) = ((i % width) as f32 - dx, (i / width) as f32 - dy);
+            let wave = (0.05 * x).sin() * (0.031 * y).cos() + (0.0071 * x * y / 40.0).sin();
+            let fine = (0.9 * x + 0.4 * y).sin() * (0.013 * x - 0.7 * y).cos();
+            [90.0, 70.0, 50.0].map(|gain| (125.0 + 0.6 * gain * wave + 20.0 * fine) as u8)
+        };
+        let pixels = (0..width * height).map(pixel).collect();
+        ColorImage::new(width, height, pixels).expect("a picture")
+    };
+    let (photo, render) = (picture(14.0, -9.0), picture(0.0, 0.0));
+    let mask: Vec<bool> = (0..width * height).map(|i| i / 97 % 7 != 0).collect();
+
+    let mut group = criterion.benchmark_group("align");
+    group
+        .sample_size(10)
+        .sampling_mode(SamplingMode::Flat)
+        .warm_up_time(Duration::from_millis(300))
+        .measurement_time(Duration::from_secs(2));
+    let forms = [
+        ("refined", AlignForm::Refined),
+        ("phase", AlignForm::Phase),
+        ("reference", AlignForm::Reference),
+    ];
+    for (name, form) in forms {
+        let params = AlignParams {
+            form,
+            ..AlignParams::default()
+        };
+        group.bench_function(name, |bencher| {
+            bencher.iter(|| align(&photo, &render, Some(&mask), &params).expect("an alignment"));
+        });
+    }
     group.finish();
 }

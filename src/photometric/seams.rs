@@ -52,7 +52,7 @@ impl Default for SeamParams {
             reach_m: 0.5,
             step_weight: 50.0,
             band_texel: 6.0,
-            max_step: 0.25,
+            max_step: 0.12,
         }
     }
 }
