@@ -17,7 +17,8 @@ use ::burn::tensor::ops::ConvOptions;
 use ::burn::tensor::wgpu::WgpuSetup;
 use ::burn::tensor::{Device, Tensor, TensorData};
 
-use super::conv::{KERNEL, Shape};
+use super::cpu::Plain;
+use super::layer::{KERNEL, Shape};
 use super::losses::{self, Side};
 use super::{
     CpuDiscriminator, Critic, CriticError, CriticLosses, DiscriminatorParams, Gate, NUM_CHANNELS,
@@ -113,42 +114,56 @@ impl GpuDiscriminator {
     fn from_host(
         gpu: &GpuDevice,
         params: &DiscriminatorParams,
-        mut host: CpuDiscriminator,
+        host: CpuDiscriminator,
     ) -> Result<Self, CriticError> {
         let device = register(gpu)?;
-        let layers = host
-            .numbers_mut()
-            .map(|(shape, [weight, bias, weight1, weight2, bias1, bias2])| {
-                let sides = [shape.outputs, shape.inputs, KERNEL, KERNEL];
-                let weights = |values: &[f32]| {
-                    let values = outputs_first(values, shape);
-                    Tensor::<4>::from_data(TensorData::new(values, sides), &device)
-                };
-                let biases = |values: &[f32]| {
-                    let data = TensorData::new(values.to_vec(), [shape.outputs]);
-                    Tensor::<1>::from_data(data, &device)
-                };
-                Layer {
+        let plain = host.plain();
+        let layers = plain
+            .layers
+            .iter()
+            .map(
+                |&(
                     shape,
-                    weight: Learnt {
-                        value: weights(weight),
-                        first: weights(weight1),
-                        second: weights(weight2),
-                    },
-                    bias: Learnt {
-                        value: biases(bias),
-                        first: biases(bias1),
-                        second: biases(bias2),
-                    },
-                }
-            })
+                    [
+                        ref weight,
+                        ref bias,
+                        ref weight1,
+                        ref weight2,
+                        ref bias1,
+                        ref bias2,
+                    ],
+                )| {
+                    let sides = [shape.outputs, shape.inputs, KERNEL, KERNEL];
+                    let weights = |values: &[f32]| {
+                        let values = outputs_first(values, shape);
+                        Tensor::<4>::from_data(TensorData::new(values, sides), &device)
+                    };
+                    let biases = |values: &[f32]| {
+                        let data = TensorData::new(values.to_vec(), [shape.outputs]);
+                        Tensor::<1>::from_data(data, &device)
+                    };
+                    Layer {
+                        shape,
+                        weight: Learnt {
+                            value: weights(weight),
+                            first: weights(weight1),
+                            second: weights(weight2),
+                        },
+                        bias: Learnt {
+                            value: biases(bias),
+                            first: biases(bias1),
+                            second: biases(bias2),
+                        },
+                    }
+                },
+            )
             .collect();
         let made = Self {
             params: *params,
             gpu: gpu.clone(),
             device,
             layers,
-            num_steps: *host.num_steps_mut(),
+            num_steps: plain.num_steps,
             host,
         };
         made.check_device()?;
@@ -247,11 +262,11 @@ impl Critic for GpuDiscriminator {
         losses.stepped = gate == Gate::Always || losses.real + losses.fake > losses.texture;
 
         let mut gradients = losses.stepped.then(|| {
-            let mut weights = Vec::new();
-            losses::gradient(of_real, &counts, Side::Real, &mut weights);
-            let mut others = Vec::new();
-            losses::gradient(of_fake, &counts, Side::Fake, &mut others);
-            weights.append(&mut others);
+            let total = losses::total(&counts);
+            let mut weights = vec![0.0; on_host.len()];
+            let (by_real, by_fake) = weights.split_at_mut(counts.len());
+            losses::gradient(of_real, &counts, total, Side::Real, by_real);
+            losses::gradient(of_fake, &counts, total, Side::Fake, by_fake);
             self.weigh(&logits, weights).backward()
         });
         self.num_steps += 1;
@@ -297,8 +312,9 @@ impl Critic for GpuDiscriminator {
         let logits = forward(input.clone(), &self.layers, &parameters, slope);
         let on_host = self.read(logits.clone().without_autodiff())?;
         let loss = losses::mean_loss(&on_host, &counts, Side::Real);
-        let mut weights = Vec::new();
-        losses::gradient(&on_host, &counts, Side::Real, &mut weights);
+        let mut weights = vec![0.0; on_host.len()];
+        let total = losses::total(&counts);
+        losses::gradient(&on_host, &counts, total, Side::Real, &mut weights);
         let gradients = self.weigh(&logits, weights).backward();
         let by_input = input
             .grad(&gradients)
@@ -309,31 +325,31 @@ impl Critic for GpuDiscriminator {
     }
 
     fn save(&self) -> Result<Vec<u8>, CriticError> {
-        let mut host = self.host.clone();
-        *host.num_steps_mut() = self.num_steps;
-        for (layer, (shape, numbers)) in self.layers.iter().zip(host.numbers_mut()) {
-            let [weight, bias, weight1, weight2, bias1, bias2] = numbers;
-            let Layer {
-                weight: weights,
-                bias: biases,
-                ..
-            } = layer;
-            for (tensor, values) in [
-                (&weights.value, weight),
-                (&weights.first, weight1),
-                (&weights.second, weight2),
-            ] {
-                *values = outputs_last(&self.read(tensor.clone())?, shape);
-            }
-            for (tensor, values) in [
-                (&biases.value, bias),
-                (&biases.first, bias1),
-                (&biases.second, bias2),
-            ] {
-                *values = self.read(tensor.clone())?;
-            }
+        let mut layers = Vec::with_capacity(self.layers.len());
+        for Layer {
+            shape,
+            weight,
+            bias,
+        } in &self.layers
+        {
+            let weights = |tensor: &Tensor<4>| -> Result<Vec<f32>, CriticError> {
+                Ok(outputs_last(&self.read(tensor.clone())?, *shape))
+            };
+            let numbers = [
+                weights(&weight.value)?,
+                self.read(bias.value.clone())?,
+                weights(&weight.first)?,
+                weights(&weight.second)?,
+                self.read(bias.first.clone())?,
+                self.read(bias.second.clone())?,
+            ];
+            layers.push((*shape, numbers));
         }
-        host.save()
+        let plain = Plain {
+            num_steps: self.num_steps,
+            layers,
+        };
+        Ok(plain.to_bytes())
     }
 }
 

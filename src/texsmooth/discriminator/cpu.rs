@@ -126,26 +126,25 @@ impl CpuDiscriminator {
         Ok(Self::from_layers(params, layers, num_steps))
     }
 
-    /// Steps of Adam so far.
-    #[cfg(feature = "gpu")]
-    pub(super) fn num_steps_mut(&mut self) -> &mut u64 {
-        &mut self.num_steps
-    }
-
-    /// Layer by layer: weights and biases, both moments of the weights, both of the biases.
-    #[cfg(feature = "gpu")]
-    pub(super) fn numbers_mut(&mut self) -> impl Iterator<Item = (Shape, [&mut Vec<f32>; 6])> {
-        self.layers.iter_mut().map(|layer| {
+    /// What [`Critic::save`] writes: steps of Adam so far, and layer by layer weights and biases, both
+    /// moments of the weights, both of the biases. Weights are `[(ky · 4 + kx) · inputs +
+    /// input][output]`.
+    pub(super) fn plain(&self) -> Plain {
+        let layers = self.network.layers.iter().map(|layer| {
             let numbers = [
-                &mut layer.weights.weight,
-                &mut layer.weights.bias,
-                &mut layer.weight_moments.first,
-                &mut layer.weight_moments.second,
-                &mut layer.bias_moments.first,
-                &mut layer.bias_moments.second,
+                layer.shape.to_plain(&layer.weights().weight),
+                layer.weights().bias.clone(),
+                layer.shape.to_plain(&layer.weight_moments.first),
+                layer.shape.to_plain(&layer.weight_moments.second),
+                layer.bias_moments.first.clone(),
+                layer.bias_moments.second.clone(),
             ];
             (layer.shape, numbers)
-        })
+        });
+        Plain {
+            num_steps: self.num_steps,
+            layers: layers.collect(),
+        }
     }
 
     pub(super) fn check(&self, patch: &PatchView<'_>, mask: &[f32]) -> Result<(), CriticError> {
@@ -258,22 +257,29 @@ impl Critic for CpuDiscriminator {
     }
 
     fn save(&self) -> Result<Vec<u8>, CriticError> {
+        Ok(self.plain().to_bytes())
+    }
+}
+
+/// See [`CpuDiscriminator::plain`].
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Plain {
+    pub(super) num_steps: u64,
+    pub(super) layers: Vec<(Shape, [Vec<f32>; 6])>,
+}
+
+impl Plain {
+    pub(super) fn to_bytes(&self) -> Vec<u8> {
         let mut out = Vec::new();
         out.extend_from_slice(MAGIC);
         out.extend_from_slice(&self.num_steps.to_le_bytes());
-        for layer in &self.network.layers {
-            for numbers in [
-                &layer.shape.to_plain(&layer.weights().weight),
-                &layer.weights().bias,
-                &layer.shape.to_plain(&layer.weight_moments.first),
-                &layer.shape.to_plain(&layer.weight_moments.second),
-                &layer.bias_moments.first,
-                &layer.bias_moments.second,
-            ] {
-                out.extend(numbers.iter().flat_map(|number| number.to_le_bytes()));
-            }
-        }
-        Ok(out)
+        let numbers = self
+            .layers
+            .iter()
+            .flat_map(|(_, numbers)| numbers)
+            .flatten();
+        out.extend(numbers.flat_map(|number| number.to_le_bytes()));
+        out
     }
 }
 

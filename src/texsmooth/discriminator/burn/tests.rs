@@ -52,13 +52,14 @@ impl Case {
 
     /// The same discriminator on the CPU and on the device.
     fn pair(&self, gpu: &GpuDevice) -> (CpuDiscriminator, GpuDiscriminator) {
-        let mut cpu = CpuDiscriminator::new(&self.params, 5).unwrap();
-        for (layer, (_, [_, bias, ..])) in cpu.numbers_mut().enumerate() {
+        let mut plain = CpuDiscriminator::new(&self.params, 5).unwrap().plain();
+        for (layer, (_, [_, bias, ..])) in plain.layers.iter_mut().enumerate() {
             for (i, bias) in bias.iter_mut().enumerate() {
                 *bias = 0.2 * random(layer * 999 + i) - 0.1;
             }
         }
-        let bytes = cpu.save().unwrap();
+        let bytes = plain.to_bytes();
+        let cpu = CpuDiscriminator::load(&bytes, &self.params).unwrap();
         let on_device = GpuDiscriminator::load(gpu, &bytes, &self.params).unwrap();
         assert!(
             bytes == on_device.save().unwrap(),
@@ -100,14 +101,14 @@ fn difference(found: &[f32], expected: &[f32]) -> f32 {
     largest / scale
 }
 
-fn assert_losses_agree(found: CriticLosses, expected: CriticLosses) {
+fn assert_losses_agree(found: CriticLosses, expected: CriticLosses, tolerance: f32) {
     for (found, expected) in [
         (found.real, expected.real),
         (found.fake, expected.fake),
         (found.texture, expected.texture),
     ] {
         let error = (found - expected).abs() / expected.max(1e-3);
-        assert!(error < 1e-5, "{found} for {expected}");
+        assert!(error < tolerance, "{found} for {expected}");
     }
     assert_eq!(found.stepped, expected.stepped);
 }
@@ -117,7 +118,7 @@ fn fetched(on_device: &GpuDiscriminator) -> CpuDiscriminator {
     CpuDiscriminator::load(&on_device.save().unwrap(), &on_device.params).unwrap()
 }
 
-/// Names of [`CpuDiscriminator::numbers_mut`].
+/// Names of the numbers of [`CpuDiscriminator::plain`].
 const NUMBERS: [&str; 6] = ["weight", "bias", "weight 1", "weight 2", "bias 1", "bias 2"];
 
 /// After one step from moments of zero, the first moments are the gradients, up to a factor.
@@ -127,11 +128,11 @@ fn losses_and_gradients_of_every_layer_are_the_cpus() {
     for case in cases() {
         let (mut cpu, mut on_device) = case.pair(&gpu);
         let expected = case.step(&mut cpu, Gate::Always);
-        assert_losses_agree(case.step(&mut on_device, Gate::Always), expected);
-        let mut found = fetched(&on_device);
-        for (layer, (cpu, found)) in cpu.numbers_mut().zip(found.numbers_mut()).enumerate() {
+        assert_losses_agree(case.step(&mut on_device, Gate::Always), expected, 1e-5);
+        let (cpu, found) = (cpu.plain(), fetched(&on_device).plain());
+        for (layer, (cpu, found)) in cpu.layers.iter().zip(&found.layers).enumerate() {
             for (at, name) in NUMBERS.iter().enumerate().skip(2) {
-                let error = difference(found.1[at], cpu.1[at]);
+                let error = difference(&found.1[at], &cpu.1[at]);
                 assert!(error < 1e-5, "layer {layer}, {name}: {error}");
             }
             // Adam's first step is the gradient's sign, near enough, times the learning rate.
@@ -178,13 +179,16 @@ fn where_the_discriminator_is_ahead_it_goes_on_by_momentum() {
     for gate in [Gate::Always, Gate::WhenBehind] {
         let expected = case.step(&mut cpu, gate);
         assert_eq!(expected.stepped, gate == Gate::Always);
-        assert_losses_agree(case.step(&mut on_device, gate), expected);
+        // Adam's first step is the gradient's sign: where that is next to nothing, rounding decides,
+        // and weights differ from then on.
+        let tolerance = if gate == Gate::Always { 1e-5 } else { 1e-4 };
+        assert_losses_agree(case.step(&mut on_device, gate), expected, tolerance);
     }
-    let mut found = fetched(&on_device);
-    assert_eq!(*found.num_steps_mut(), 2);
-    for (cpu, found) in cpu.numbers_mut().zip(found.numbers_mut()) {
+    let (cpu, found) = (cpu.plain(), fetched(&on_device).plain());
+    assert_eq!(found.num_steps, 2);
+    for (cpu, found) in cpu.layers.iter().zip(&found.layers) {
         for (at, name) in NUMBERS.iter().enumerate().skip(2) {
-            let error = difference(found.1[at], cpu.1[at]);
+            let error = difference(&found.1[at], &cpu.1[at]);
             assert!(error < 1e-5, "{name}: {error}");
         }
     }
