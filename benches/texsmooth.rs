@@ -56,6 +56,11 @@ pub(crate) fn bench(criterion: &mut Criterion) {
 
 /// `align/refined`, `align/phase`, `align/reference`: 1920×1440, three channels, the rendering moved
 /// by (14, −9) pixels and a seventh of it masked.
+#[expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "colours within bytes"
+)]
 fn bench_align(criterion: &mut Criterion) {
     let (width, height) = (1920u32, 1440u32);
     let picture = |dx: f32, dy: f32| {
