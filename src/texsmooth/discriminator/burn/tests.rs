@@ -179,17 +179,15 @@ fn where_the_discriminator_is_ahead_it_goes_on_by_momentum() {
     for gate in [Gate::Always, Gate::WhenBehind] {
         let expected = case.step(&mut cpu, gate);
         assert_eq!(expected.stepped, gate == Gate::Always);
-        // Adam's first step is the gradient's sign: where that is next to nothing, rounding decides,
-        // and weights differ from then on.
-        let tolerance = if gate == Gate::Always { 1e-5 } else { 1e-4 };
-        assert_losses_agree(case.step(&mut on_device, gate), expected, tolerance);
+        // Weights five times the usual ones: logits are sums of large numbers that nearly cancel.
+        assert_losses_agree(case.step(&mut on_device, gate), expected, 1e-4);
     }
     let (cpu, found) = (cpu.plain(), fetched(&on_device).plain());
     assert_eq!(found.num_steps, 2);
     for (cpu, found) in cpu.layers.iter().zip(&found.layers) {
         for (at, name) in NUMBERS.iter().enumerate().skip(2) {
             let error = difference(&found.1[at], &cpu.1[at]);
-            assert!(error < 1e-5, "{name}: {error}");
+            assert!(error < 1e-4, "{name}: {error}");
         }
     }
 }
