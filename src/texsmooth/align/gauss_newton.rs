@@ -16,7 +16,7 @@ const DONE_PX: f32 = 0.004;
 /// Residual at which a pixel counts half, grey levels.
 const HALF_WEIGHT_LEVEL: f32 = 12.0;
 /// About as many pixels are asked; more would not make the offset better.
-const MAX_PIXELS: usize = 700_000;
+const MAX_PIXELS: usize = 350_000;
 /// Rows to a partial sum; fixed, so that sums do not depend on the thread count.
 const CHUNK_ROWS: usize = 16;
 
