@@ -15,6 +15,7 @@ pub mod adv_optim;
 pub mod align;
 pub mod checkpoint;
 pub mod discriminator;
+mod loss_curve;
 mod offsets;
 mod params;
 mod random;
