@@ -19,7 +19,7 @@ pub mod seams;
 
 pub use corrected::CorrectedFrames;
 pub use gain::{GainParams, GainReport, GainTable, estimate_gains};
-pub use pose::{PoseMeasure, PoseParams, measure_poses, turned};
+pub use pose::{Painted, PoseMeasure, PoseParams, PosePhoto, measure_pose, turned};
 pub use seams::{SeamParams, SeamPhoto, SeamReport, level_seams};
 
 use crate::atlas::texture::TextureMismatch;

@@ -211,6 +211,8 @@ pub const PARAMETERS: &[Parameter] = &[
         Count(|c| &mut c.pipeline.texsmooth.lambda_period, 1, 10_000_000)),
     row("texsmooth.l1_target", "", "What the L1 term compares the rendering with: the view's photo (the paper's equation), or its partner's (the authors' program).",
         Choice { words: &["photo", "partner"], set: smooth::set_l1_target, get: smooth::l1_target }),
+    row("texsmooth.resolution_exponent", "", "A pixel that covers more than one texel counts by their number to minus this; 0: all alike (the paper).",
+        Float32(|c| &mut c.pipeline.texsmooth.resolution_exponent, 0.0, 16.0)),
     row("texsmooth.discriminator.enabled", "", "Whether a discriminator judges the rendering; without one the L1 term is all.",
         Bool(|c| &mut c.pipeline.texsmooth.has_discriminator)),
     row("texsmooth.discriminator.learning_rate", "", "Adam's step for the discriminator.",

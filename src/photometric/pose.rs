@@ -7,17 +7,14 @@
 //!
 //! Images are compared at a reduced size; offsets are in pixels of the full photo.
 
-use std::sync::Arc;
-
 use nalgebra::UnitQuaternion;
-use rayon::prelude::*;
 
 use crate::atlas::{AtlasLayout, AtlasTexture};
-use crate::geom::{ImageError, RigidTransform};
+use crate::geom::{ColorImage, PinholeCamera, RigidTransform};
 use crate::keyframe::{DecodedFrame, Keyframe};
 use crate::mesh::TriMesh;
 use crate::render::raster::{RasterWorkspace, ViewBuffer, rasterize};
-use crate::render::textured::{RenderParams, render_textured};
+use crate::render::textured::shade_textured;
 use crate::texsmooth::align::{AlignError, AlignParams, align};
 
 /// How poses are corrected.
@@ -63,76 +60,99 @@ pub struct PoseMeasure {
     pub residual_255: Option<f64>,
 }
 
-/// Measures every keyframe against the texture. `label` says per triangle which of them painted it.
+/// A photo as it is compared.
+#[derive(Clone, Debug)]
+pub struct PosePhoto {
+    /// Reduced by `factor`.
+    pub color: ColorImage,
+    /// Its camera.
+    pub camera: PinholeCamera,
+    /// Pixels of the full photo along a side of one of these.
+    pub factor: u32,
+}
+
+impl PosePhoto {
+    /// The frame's photo at the size of [`PoseParams::max_width_px`]; `None` where that is nothing.
+    pub fn new(frame: &DecodedFrame, params: &PoseParams) -> Option<Self> {
+        let factor = frame.color.width().div_ceil(params.max_width_px.max(1));
+        let camera = frame.color_camera.reduced(factor).ok()?;
+        let color = frame.color.reduced(factor);
+        Some(Self {
+            color,
+            camera,
+            factor,
+        })
+    }
+}
+
+/// The texture that poses are measured against.
+#[derive(Clone, Copy)]
+pub struct Painted<'a> {
+    /// The mesh.
+    pub mesh: &'a TriMesh,
+    /// Its layout.
+    pub layout: &'a AtlasLayout,
+    /// The texture.
+    pub texture: &'a AtlasTexture,
+    /// Per triangle: which of the keyframes painted it.
+    pub label: &'a [Option<u32>],
+}
+
+/// Measures a keyframe, that of index `index`, whose photo is `photo`, against the texture.
 ///
 /// # Errors
-/// [`AlignError`] for alignment settings out of range. A keyframe that does not decode measures
-/// nothing.
-pub fn measure_poses(
-    mesh: &TriMesh,
-    layout: &AtlasLayout,
-    texture: &AtlasTexture,
-    label: &[Option<u32>],
-    keyframes: &[Arc<Keyframe>],
-    decode: &(dyn Fn(&Keyframe) -> Result<Arc<DecodedFrame>, ImageError> + Sync),
+/// [`AlignError`] for alignment settings out of range.
+pub fn measure_pose(
+    painted: Painted<'_>,
+    index: usize,
+    camera_from_world: &RigidTransform,
+    photo: &PosePhoto,
     params: &PoseParams,
-) -> Result<Vec<PoseMeasure>, AlignError> {
-    keyframes
-        .par_iter()
-        .enumerate()
-        .map(|(index, keyframe)| {
-            let Ok(frame) = decode(keyframe) else {
-                return Ok(PoseMeasure::default());
-            };
-            let factor = frame.color.width().div_ceil(params.max_width_px.max(1));
-            let photo = frame.color.reduced(factor);
-            let Ok(camera) = frame.color_camera.reduced(factor) else {
-                return Ok(PoseMeasure::default());
-            };
-            let camera_from_world = keyframe.world_from_camera.inverse();
-            let sharp = RenderParams { supersampling: 1 };
-            let Ok(render) =
-                render_textured(mesh, layout, texture, &camera, &camera_from_world, &sharp)
-            else {
-                return Ok(PoseMeasure::default());
-            };
-            let mut buffer = ViewBuffer::default();
-            let mut workspace = RasterWorkspace::default();
-            rasterize(
-                mesh,
-                &camera,
-                &camera_from_world,
-                &mut workspace,
-                &mut buffer,
-            );
-            let is_foreign = |triangle: u32| {
-                let painter = label.get(triangle as usize).copied().flatten();
-                painter.is_some_and(|painter| painter as usize != index)
-            };
-            let mask: Vec<bool> = render
-                .mask
-                .iter()
-                .zip(&buffer.triangle)
-                .map(|(&is_seen, &triangle)| is_seen && is_foreign(triangle))
-                .collect();
-            let num_foreign = mask.iter().filter(|is_foreign| **is_foreign).count();
-            if (num_foreign as f64) < params.min_foreign_share * mask.len() as f64 {
-                return Ok(PoseMeasure::default());
-            }
-            let found = align(&photo, &render.color, Some(&mask), &params.align)?;
-            let differences = photo.pixels().iter().zip(render.color.pixels()).zip(&mask);
-            let sum: u64 = differences
-                .filter(|(_, counts)| **counts)
-                .flat_map(|((a, b), _)| a.iter().zip(b).map(|(a, b)| u64::from(a.abs_diff(*b))))
-                .sum();
-            Ok(PoseMeasure {
-                offset_px: found
-                    .is_trusted
-                    .then(|| found.offset_px.map(|px| f64::from(px) * f64::from(factor))),
-                residual_255: Some(sum as f64 / (3 * num_foreign) as f64),
-            })
-        })
-        .collect()
+) -> Result<PoseMeasure, AlignError> {
+    let Painted {
+        mesh,
+        layout,
+        texture,
+        label,
+    } = painted;
+    let camera = &photo.camera;
+    let mut buffer = ViewBuffer::default();
+    let mut workspace = RasterWorkspace::default();
+    rasterize(mesh, camera, camera_from_world, &mut workspace, &mut buffer);
+    let Ok(render) = shade_textured(mesh, layout, texture, camera, camera_from_world, &buffer)
+    else {
+        return Ok(PoseMeasure::default());
+    };
+    let is_foreign = |triangle: u32| {
+        let painter = label.get(triangle as usize).copied().flatten();
+        painter.is_some_and(|painter| painter as usize != index)
+    };
+    let mask: Vec<bool> = render
+        .mask
+        .iter()
+        .zip(&buffer.triangle)
+        .map(|(&is_seen, &triangle)| is_seen && is_foreign(triangle))
+        .collect();
+    let num_foreign = mask.iter().filter(|is_foreign| **is_foreign).count();
+    if (num_foreign as f64) < params.min_foreign_share * mask.len() as f64 {
+        return Ok(PoseMeasure::default());
+    }
+    let found = align(&photo.color, &render.color, Some(&mask), &params.align)?;
+    let differences = photo.color.pixels().iter().zip(render.color.pixels());
+    let sum: u64 = differences
+        .zip(&mask)
+        .filter(|(_, counts)| **counts)
+        .flat_map(|((a, b), _)| a.iter().zip(b).map(|(a, b)| u64::from(a.abs_diff(*b))))
+        .sum();
+    let offset_px = || {
+        found
+            .offset_px
+            .map(|px| f64::from(px) * f64::from(photo.factor))
+    };
+    Ok(PoseMeasure {
+        offset_px: found.is_trusted.then(offset_px),
+        residual_255: Some(sum as f64 / (3 * num_foreign) as f64),
+    })
 }
 
 /// The keyframe, turned so that what its camera shows moves by a share of the offset; `None` when it

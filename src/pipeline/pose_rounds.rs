@@ -8,12 +8,15 @@
 use std::sync::Arc;
 use std::time::Instant;
 
+use rayon::prelude::*;
+
 use super::clock::StageClock;
 use super::run::PipelineError;
 use super::scan::Scan;
+use crate::geom::RigidTransform;
 use crate::keyframe::Keyframe;
 use crate::photometric::PhotometricError;
-use crate::photometric::pose::{PoseMeasure, PoseParams, measure_poses, turned};
+use crate::photometric::pose::{Painted, PoseMeasure, PoseParams, PosePhoto, measure_pose, turned};
 use crate::texinit::{Decode, TexInit, TexInitError, TexInitParams, repaint, transfer};
 
 /// What the rounds did.
@@ -50,75 +53,29 @@ pub(super) fn correct(
 ) -> Result<PoseReport, PipelineError> {
     clock.begin("correct poses", params.max_rounds);
     let begun = Instant::now();
-    let mut report = PoseReport::default();
     let recorded: Vec<_> = keyframes.iter().map(|k| k.world_from_camera).collect();
+    let photos = Photos::new(keyframes, decode, params);
+    let mut rounds = Rounds {
+        params,
+        recorded: &recorded,
+        is_settled: vec![false; keyframes.len()],
+        before: None,
+        report: PoseReport::default(),
+    };
     let mut texture = None;
-    let mut before: Option<(Vec<Arc<Keyframe>>, Vec<PoseMeasure>)> = None;
-    let mut is_settled = vec![false; keyframes.len()];
     for round in 0..=params.max_rounds {
-        let measures = measure_poses(
-            &scan.mesh,
-            &made.layout,
-            texture.as_ref().unwrap_or(&made.texture),
-            &made.assignment.label,
-            keyframes,
-            decode,
-            params,
-        )
-        .map_err(PhotometricError::from)?;
-        if round == 0 {
-            let unknown = measures.iter().filter(|m| m.offset_px.is_none());
-            report.num_unknown = unknown.count();
-        }
-        let residual = mean(measures.iter().filter_map(|m| m.residual_255));
-        if let Some((poses, _)) = &before
-            && report
-                .residual_255
-                .last()
-                .is_some_and(|last| residual > last * (1.0 - params.min_gain))
-        {
-            if report
-                .residual_255
-                .last()
-                .is_some_and(|last| residual > *last)
-            {
-                keyframes.clone_from_slice(poses);
-            }
+        let painted = Painted {
+            mesh: &scan.mesh,
+            layout: &made.layout,
+            texture: texture.as_ref().unwrap_or(&made.texture),
+            label: &made.assignment.label,
+        };
+        let measures = photos.measure(painted, keyframes)?;
+        if !rounds.goes_on(&measures, keyframes) || round == params.max_rounds {
             break;
         }
-        report.residual_255.push(residual);
-        let lengths = measures.iter().filter_map(|m| m.offset_px);
-        report
-            .offset_px
-            .push(mean(lengths.map(|[x, y]| x.hypot(y))));
-        if round == params.max_rounds {
-            break;
-        }
-
-        let mut poses = keyframes.to_vec();
-        for (index, keyframe) in keyframes.iter_mut().enumerate() {
-            if is_settled[index] {
-                continue;
-            }
-            if let Some((last_poses, last)) = &before
-                && has_risen(last[index].residual_255, measures[index].residual_255)
-            {
-                // Put back for good, should this round be undone.
-                *keyframe = Arc::clone(&last_poses[index]);
-                poses[index] = Arc::clone(keyframe);
-                is_settled[index] = true;
-                report.num_put_back += 1;
-                continue;
-            }
-            if let Some(offset_px) = measures[index].offset_px {
-                match turned(keyframe, &recorded[index], offset_px, params) {
-                    Some(turned) => *keyframe = Arc::new(turned),
-                    None => is_settled[index] = true,
-                }
-            }
-        }
-        before = Some((poses, measures));
-        let (painted, _) = transfer::transfer(
+        rounds.turn(measures, keyframes);
+        let (colors, _) = transfer::transfer(
             &scan.mesh,
             &made.layout,
             &made.assignment,
@@ -128,18 +85,11 @@ pub(super) fn correct(
             &|_| {},
         )
         .map_err(TexInitError::from)?;
-        texture = Some(painted);
+        texture = Some(colors);
         clock.advance(1);
     }
 
-    let turns = keyframes.iter().zip(&recorded).map(|(keyframe, recorded)| {
-        let turn = keyframe.world_from_camera.rotation();
-        turn.angle_to(recorded.rotation())
-    });
-    for turn in turns.filter(|turn| *turn > 0.0) {
-        report.num_turned += 1;
-        report.max_turn_rad = report.max_turn_rad.max(turn);
-    }
+    let mut report = rounds.finish(keyframes);
     if report.num_turned > 0 {
         let again = repaint(&scan.mesh, &made.layout, keyframes, decode, texinit, clock)?;
         made.texture = again.texture;
@@ -150,6 +100,150 @@ pub(super) fn correct(
     }
     report.seconds = begun.elapsed().as_secs_f64();
     Ok(report)
+}
+
+/// Memory for photos at the size at which they are compared; those beyond are made anew each round.
+const MAX_PHOTO_BYTES: usize = 128_000_000;
+
+/// The keyframes' photos at the size at which they are compared.
+struct Photos<'a> {
+    decode: &'a Decode<'a>,
+    params: &'a PoseParams,
+    /// Of the first keyframes, as many as there is memory for; `None` where one does not decode.
+    kept: Vec<Option<PosePhoto>>,
+}
+
+impl<'a> Photos<'a> {
+    fn new(keyframes: &[Arc<Keyframe>], decode: &'a Decode<'a>, params: &'a PoseParams) -> Self {
+        let num_bytes = |keyframe: &Arc<Keyframe>| {
+            let camera = &keyframe.color_camera.pinhole;
+            let factor = camera.width().div_ceil(params.max_width_px.max(1)).max(1);
+            3 * (camera.width() / factor) as usize * (camera.height() / factor) as usize
+        };
+        let mut total = 0;
+        let num_kept = keyframes
+            .iter()
+            .take_while(|keyframe| {
+                total += num_bytes(keyframe);
+                total <= MAX_PHOTO_BYTES
+            })
+            .count();
+        let mut photos = Self {
+            decode,
+            params,
+            kept: Vec::new(),
+        };
+        photos.kept = keyframes[..num_kept]
+            .par_iter()
+            .map(|keyframe| photos.make(keyframe))
+            .collect();
+        photos
+    }
+
+    fn make(&self, keyframe: &Keyframe) -> Option<PosePhoto> {
+        PosePhoto::new(&*(self.decode)(keyframe).ok()?, self.params)
+    }
+
+    /// Every keyframe against the texture; one that does not decode measures nothing.
+    fn measure(
+        &self,
+        painted: Painted<'_>,
+        keyframes: &[Arc<Keyframe>],
+    ) -> Result<Vec<PoseMeasure>, PipelineError> {
+        let measures: Result<Vec<PoseMeasure>, _> = keyframes
+            .par_iter()
+            .enumerate()
+            .map(|(index, keyframe)| {
+                let made;
+                let photo = match self.kept.get(index) {
+                    Some(kept) => kept.as_ref(),
+                    None => {
+                        made = self.make(keyframe);
+                        made.as_ref()
+                    }
+                };
+                let Some(photo) = photo else {
+                    return Ok(PoseMeasure::default());
+                };
+                let camera_from_world = keyframe.world_from_camera.inverse();
+                measure_pose(painted, index, &camera_from_world, photo, self.params)
+            })
+            .collect();
+        Ok(measures.map_err(PhotometricError::from)?)
+    }
+}
+
+/// What the rounds remember.
+struct Rounds<'a> {
+    params: &'a PoseParams,
+    recorded: &'a [RigidTransform],
+    /// Keyframes that are left alone.
+    is_settled: Vec<bool>,
+    /// The keyframes before the last turn, and what they measured.
+    before: Option<(Vec<Arc<Keyframe>>, Vec<PoseMeasure>)>,
+    report: PoseReport,
+}
+
+impl Rounds<'_> {
+    /// Whether the residual still falls. Where it rose the last round is undone.
+    fn goes_on(&mut self, measures: &[PoseMeasure], keyframes: &mut [Arc<Keyframe>]) -> bool {
+        let residual = mean(measures.iter().filter_map(|m| m.residual_255));
+        match (&self.before, self.report.residual_255.last()) {
+            (Some((poses, _)), Some(&last)) if residual > last * (1.0 - self.params.min_gain) => {
+                if residual > last {
+                    keyframes.clone_from_slice(poses);
+                }
+                return false;
+            }
+            (None, _) => {
+                let unknown = measures.iter().filter(|m| m.offset_px.is_none());
+                self.report.num_unknown = unknown.count();
+            }
+            _ => {}
+        }
+        self.report.residual_255.push(residual);
+        let lengths = measures.iter().filter_map(|m| m.offset_px);
+        let mean_px = mean(lengths.map(|[x, y]| x.hypot(y)));
+        self.report.offset_px.push(mean_px);
+        true
+    }
+
+    /// Turns each keyframe by its offset, but puts back those whose own residual rose.
+    fn turn(&mut self, measures: Vec<PoseMeasure>, keyframes: &mut [Arc<Keyframe>]) {
+        let mut poses = keyframes.to_vec();
+        for (index, keyframe) in keyframes.iter_mut().enumerate() {
+            if self.is_settled[index] {
+                continue;
+            }
+            if let Some((last_poses, last)) = &self.before
+                && has_risen(last[index].residual_255, measures[index].residual_255)
+            {
+                // Put back for good, should this round be undone.
+                *keyframe = Arc::clone(&last_poses[index]);
+                poses[index] = Arc::clone(keyframe);
+                self.is_settled[index] = true;
+                self.report.num_put_back += 1;
+                continue;
+            }
+            if let Some(offset_px) = measures[index].offset_px {
+                match turned(keyframe, &self.recorded[index], offset_px, self.params) {
+                    Some(turned) => *keyframe = Arc::new(turned),
+                    None => self.is_settled[index] = true,
+                }
+            }
+        }
+        self.before = Some((poses, measures));
+    }
+
+    fn finish(mut self, keyframes: &[Arc<Keyframe>]) -> PoseReport {
+        for (keyframe, recorded) in keyframes.iter().zip(self.recorded) {
+            let turn = keyframe.world_from_camera.rotation();
+            let turn_rad = turn.angle_to(recorded.rotation());
+            self.report.num_turned += usize::from(turn_rad > 0.0);
+            self.report.max_turn_rad = self.report.max_turn_rad.max(turn_rad);
+        }
+        self.report
+    }
 }
 
 /// More than the noise of a new mosaic.

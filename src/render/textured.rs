@@ -52,14 +52,53 @@ pub fn render_textured(
     camera_from_world: &RigidTransform,
     params: &RenderParams,
 ) -> Result<RenderedView, ImageError> {
-    let surface = |triangle: TriangleId, weights: [f64; 3]| {
-        let corners_texel = layout.corners_texel.get(triangle.index())?;
-        let chart = layout.chart_of_triangle.get(triangle.index())?;
-        let page_index = layout.charts.get(chart.index())?.page;
-        let page = texture.pages.get(page_index as usize)?;
-        sample_page(page, interpolate(corners_texel, weights))
-    };
+    let surface =
+        |triangle: TriangleId, weights: [f64; 3]| sample_atlas(layout, texture, triangle, weights);
     render_surface(mesh, &surface, camera, camera_from_world, params)
+}
+
+/// The same from what [`rasterize`] found for this mesh and camera, a sample a pixel.
+///
+/// # Errors
+/// [`ImageError::Size`] when the buffer is not of the camera's size.
+pub fn shade_textured(
+    mesh: &TriMesh,
+    layout: &AtlasLayout,
+    texture: &AtlasTexture,
+    camera: &PinholeCamera,
+    camera_from_world: &RigidTransform,
+    view: &ViewBuffer,
+) -> Result<RenderedView, ImageError> {
+    let (width, height) = (camera.width(), camera.height());
+    if (view.width, view.height) != (width, height) {
+        return Err(ImageError::Size {
+            width: view.width,
+            height: view.height,
+        });
+    }
+    let surface =
+        |triangle: TriangleId, weights: [f64; 3]| sample_atlas(layout, texture, triangle, weights);
+    let shader = Shader {
+        mesh,
+        surface: &surface,
+        camera: *camera,
+        points_in_camera: camera_from_world.transform_points(mesh.positions_m()),
+    };
+    shader.picture(view, [width, height], 1)
+}
+
+/// sRGB in 0–255 of the atlas at a point of a triangle; nothing where it is not painted.
+fn sample_atlas(
+    layout: &AtlasLayout,
+    texture: &AtlasTexture,
+    triangle: TriangleId,
+    weights: [f64; 3],
+) -> Option<[f32; 3]> {
+    let corners_texel = layout.corners_texel.get(triangle.index())?;
+    let chart = layout.chart_of_triangle.get(triangle.index())?;
+    let page_index = layout.charts.get(chart.index())?.page;
+    let page = texture.pages.get(page_index as usize)?;
+    sample_page(page, interpolate(corners_texel, weights))
 }
 
 /// The value at a point of a triangle, from its corners' values and the point's weights.
@@ -107,21 +146,7 @@ pub(super) fn render_surface(
         camera: fine,
         points_in_camera: camera_from_world.transform_points(mesh.positions_m()),
     };
-    let rows: Vec<Vec<Option<[u8; 3]>>> = (0..height)
-        .into_par_iter()
-        .map(|y| {
-            (0..width)
-                .map(|x| shader.pixel(&view, [x, y], samples))
-                .collect()
-        })
-        .collect();
-    let pixels: Vec<Option<[u8; 3]>> = rows.into_iter().flatten().collect();
-    let mask = pixels.iter().map(Option::is_some).collect();
-    let colors = pixels.into_iter().map(Option::unwrap_or_default).collect();
-    Ok(RenderedView {
-        color: ColorImage::new(width, height, colors)?,
-        mask,
-    })
+    shader.picture(&view, [width, height], samples)
 }
 
 struct Shader<'a> {
@@ -133,6 +158,29 @@ struct Shader<'a> {
 }
 
 impl Shader<'_> {
+    fn picture(
+        &self,
+        view: &ViewBuffer,
+        [width, height]: [u32; 2],
+        samples: u32,
+    ) -> Result<RenderedView, ImageError> {
+        let rows: Vec<Vec<Option<[u8; 3]>>> = (0..height)
+            .into_par_iter()
+            .map(|y| {
+                (0..width)
+                    .map(|x| self.pixel(view, [x, y], samples))
+                    .collect()
+            })
+            .collect();
+        let pixels: Vec<Option<[u8; 3]>> = rows.into_iter().flatten().collect();
+        let mask = pixels.iter().map(Option::is_some).collect();
+        let colors = pixels.into_iter().map(Option::unwrap_or_default).collect();
+        Ok(RenderedView {
+            color: ColorImage::new(width, height, colors)?,
+            mask,
+        })
+    }
+
     fn pixel(&self, view: &ViewBuffer, [x, y]: [u32; 2], samples: u32) -> Option<[u8; 3]> {
         let mut sum = [0.0f32; 3];
         let mut last = [0.0f32; 3];

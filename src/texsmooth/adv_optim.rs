@@ -340,6 +340,11 @@ impl Optimisation<'_> {
             crop.judge(critic.as_mut(), self.params, &mut losses, &mut gradient)?;
             self.report.num_critic_steps += usize::from(losses.has_critic_stepped);
         }
+        weigh(
+            &mut gradient,
+            &surface.texels_per_px,
+            self.params.resolution_exponent,
+        );
         let adam = AdamStep {
             learning_rate: self.params.learning_rate_at(step),
             betas: self.params.betas,
@@ -652,6 +657,22 @@ impl Crop<'_> {
             *sum += value;
         }
         Ok(())
+    }
+}
+
+/// Scales the gradient of pixels that cover more than one texel by their number to minus `exponent`.
+fn weigh(gradient: &mut [f32], texels_per_px: &[f32], exponent: f32) {
+    if exponent == 0.0 {
+        return;
+    }
+    let weights: Vec<f32> = texels_per_px
+        .iter()
+        .map(|&texels| texels.max(1.0).powf(-exponent))
+        .collect();
+    for channel in gradient.chunks_exact_mut(weights.len().max(1)) {
+        for (value, weight) in channel.iter_mut().zip(&weights) {
+            *value *= weight;
+        }
     }
 }
 

@@ -74,6 +74,10 @@ pub struct TexSmoothParams {
     pub lambda_period: usize,
     /// What the L1 term compares with.
     pub l1_target: L1Target,
+    /// A pixel that covers t > 1 texels in the direction in which it covers most counts t to minus
+    /// this: it shows a mean over them, and would blur what a nearer photo shows. 0: all count alike
+    /// (the paper).
+    pub resolution_exponent: f32,
     /// Whether there is a discriminator; without one only the L1 term is left.
     pub has_discriminator: bool,
     /// The discriminator.
@@ -123,6 +127,7 @@ impl Default for TexSmoothParams {
             lambda_decay: 0.8,
             lambda_period: 960,
             l1_target: L1Target::Photo,
+            resolution_exponent: 2.0,
             has_discriminator: true,
             discriminator: DiscriminatorParams::default(),
             gate: Gate::WhenBehind,
@@ -151,6 +156,7 @@ impl TexSmoothParams {
             learning_rate: 1e-3,
             final_learning_rate_share: 1.0,
             l1_target: L1Target::Partner,
+            resolution_exponent: 0.0,
             discriminator: DiscriminatorParams {
                 padding: Padding::One,
                 ..DiscriminatorParams::default()

@@ -55,6 +55,24 @@ pub(super) struct CropSurface {
     pub(super) footprint: Vec<Footprint>,
     /// Where, in the view's camera, metres; NaN where the mesh is not seen.
     pub(super) point_in_camera: Vec<[f32; 3]>,
+    /// Texels that a pixel covers in the direction in which it covers most; 0 where the mesh is not
+    /// seen.
+    pub(super) texels_per_px: Vec<f32>,
+}
+
+/// What one pixel shows.
+struct PixelSurface {
+    footprint: Footprint,
+    point_in_camera: [f32; 3],
+    texels_per_px: f32,
+}
+
+impl PixelSurface {
+    const NONE: Self = Self {
+        footprint: Footprint::NONE,
+        point_in_camera: [f32::NAN; 3],
+        texels_per_px: 0.0,
+    };
 }
 
 impl View {
@@ -83,10 +101,10 @@ impl View {
         stride: usize,
         offset_px: [f32; 2],
     ) -> CropSurface {
-        let rows: Vec<Vec<(Footprint, [f32; 3])>> = (0..rect.height)
+        let rows: Vec<Vec<PixelSurface>> = (0..rect.height)
             .into_par_iter()
             .map(|row| {
-                let mut corners = Corners::default();
+                let mut triangle = NearTriangle::default();
                 (0..rect.width)
                     .map(|column| {
                         // The middle of a block of `stride` pixels.
@@ -94,21 +112,24 @@ impl View {
                         let at = [rect.x + stride * column, rect.y + stride * row];
                         let z = [at[0] as f64 + middle, at[1] as f64 + middle];
                         let x = [0, 1].map(|axis| z[axis] - f64::from(offset_px[axis]));
-                        self.at(on, texels, &mut corners, x)
-                            .unwrap_or((Footprint::NONE, [f32::NAN; 3]))
+                        self.at(on, texels, &mut triangle, x)
+                            .unwrap_or(PixelSurface::NONE)
                     })
                     .collect()
             })
             .collect();
         let mut footprint = Vec::with_capacity(rect.num_pixels());
         let mut point_in_camera = Vec::with_capacity(rect.num_pixels());
-        for (found, point) in rows.into_iter().flatten() {
-            footprint.push(found);
-            point_in_camera.push(point);
+        let mut texels_per_px = Vec::with_capacity(rect.num_pixels());
+        for pixel in rows.into_iter().flatten() {
+            footprint.push(pixel.footprint);
+            point_in_camera.push(pixel.point_in_camera);
+            texels_per_px.push(pixel.texels_per_px);
         }
         CropSurface {
             footprint,
             point_in_camera,
+            texels_per_px,
         }
     }
 
@@ -116,26 +137,38 @@ impl View {
         &self,
         on: Surface<'_>,
         texels: &Texels,
-        corners: &mut Corners,
+        near: &mut NearTriangle,
         x_px: [f64; 2],
-    ) -> Option<(Footprint, [f32; 3])> {
+    ) -> Option<PixelSurface> {
         let triangle = self.triangle_at(x_px)?;
-        let corners = corners.of(self, on.mesh, triangle);
-        let ray = self.camera.ray(x_px[0], x_px[1]);
-        let weights = inside(barycentric(corners, &ray).unwrap_or([1.0 / 3.0; 3]));
         let place = on.layout.corners_texel.get(triangle.index())?;
         let page = on.layout.page_of(triangle) as usize;
+        let PlacedTriangle {
+            corners,
+            normal,
+            texels_per_m,
+            ..
+        } = near.of(self, on.mesh, triangle, place);
+        let ray = self.camera.ray(x_px[0], x_px[1]);
+        let weights = inside(barycentric(corners, &ray).unwrap_or([1.0 / 3.0; 3]));
         #[expect(clippy::cast_possible_truncation, reason = "rounding to f32 is meant")]
         let position_texel: [f32; 2] = std::array::from_fn(|axis| {
             let terms: [f64; 3] = std::array::from_fn(|i| weights[i] * f64::from(place[i][axis]));
             (terms[0] + terms[1] + terms[2]) as f32
         });
-        #[expect(clippy::cast_possible_truncation, reason = "rounding to f32 is meant")]
-        let point: [f32; 3] = std::array::from_fn(|axis| {
+        let point_m: [f64; 3] = std::array::from_fn(|axis| {
             let terms: [f64; 3] = std::array::from_fn(|i| weights[i] * corners[i][axis]);
-            (terms[0] + terms[1] + terms[2]) as f32
+            terms[0] + terms[1] + terms[2]
         });
-        Some((texels.footprint(page, position_texel), point))
+        // A pixel is z/f wide across the ray, and longer along the slope of the surface.
+        let cosine = normal.dot(&ray.normalize()).abs().max(1e-3);
+        let px_m = point_m[2] / self.camera.intrinsics_px()[0] / cosine;
+        #[expect(clippy::cast_possible_truncation, reason = "rounding to f32 is meant")]
+        Some(PixelSurface {
+            footprint: texels.footprint(page, position_texel),
+            point_in_camera: point_m.map(|value| value as f32),
+            texels_per_px: (px_m * texels_per_m) as f32,
+        })
     }
 
     /// Depth along z of the mesh at a pixel, metres.
@@ -199,20 +232,46 @@ impl View {
     }
 }
 
-/// Corners of the triangle asked for last: neighbours along a row mostly share it.
-#[derive(Default)]
-struct Corners {
-    known: Option<(TriangleId, [Point3<f64>; 3])>,
+/// A triangle before the camera and on its page.
+#[derive(Clone, Copy)]
+struct PlacedTriangle {
+    id: TriangleId,
+    /// In the camera, metres.
+    corners: [Point3<f64>; 3],
+    /// Of length one, in the camera; zero for a triangle without area.
+    normal: Vector3<f64>,
+    /// By the two areas: charts are nearly conformal, so that it is the same in all directions.
+    texels_per_m: f64,
 }
 
-impl Corners {
-    fn of(&mut self, view: &View, mesh: &TriMesh, triangle: TriangleId) -> &[Point3<f64>; 3] {
-        let known = self.known.filter(|(id, _)| *id == triangle);
-        let corners = known.map_or_else(
-            || view.corners_in_camera(mesh, triangle),
-            |(_, corners)| corners,
-        );
-        &self.known.insert((triangle, corners)).1
+/// The triangle asked for last: neighbours along a row mostly share it.
+#[derive(Default)]
+struct NearTriangle {
+    known: Option<PlacedTriangle>,
+}
+
+impl NearTriangle {
+    fn of(
+        &mut self,
+        view: &View,
+        mesh: &TriMesh,
+        id: TriangleId,
+        place: &[[f32; 2]; 3],
+    ) -> &PlacedTriangle {
+        let placed = self.known.filter(|known| known.id == id);
+        let placed = placed.unwrap_or_else(|| {
+            let corners = view.corners_in_camera(mesh, id);
+            let across = (corners[1] - corners[0]).cross(&(corners[2] - corners[0]));
+            let [a, b, c] = place.map(|corner| corner.map(f64::from));
+            let area_texel = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
+            PlacedTriangle {
+                id,
+                corners,
+                normal: across.try_normalize(0.0).unwrap_or_default(),
+                texels_per_m: (area_texel.abs() / across.norm().max(f64::MIN_POSITIVE)).sqrt(),
+            }
+        });
+        self.known.insert(placed)
     }
 }
 

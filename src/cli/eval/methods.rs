@@ -48,10 +48,15 @@ const fn method(
     }
 }
 
-const fn every(num: usize, name: &'static str, description: &'static str) -> Method {
+const fn every(
+    num: usize,
+    name: &'static str,
+    description: &'static str,
+    settings: &'static [(&'static str, &'static str)],
+) -> Method {
     Method {
         views: Views::Every(num),
-        ..method(name, description, T_ONLY)
+        ..method(name, description, settings)
     }
 }
 
@@ -72,6 +77,17 @@ const SMOOTH: &[(&str, &str)] = &[
 ];
 const NO_ALIGN: &[(&str, &str)] = &[
     ("texinit.init", "assigned"),
+    ("texsmooth.iterations", NUM_STEPS),
+    ("texsmooth.align", "false"),
+];
+
+const ADVTEX_C: &[(&str, &str)] = &[
+    ("texinit.init", "l2avg"),
+    ("texsmooth.iterations", NUM_STEPS),
+    ("texsmooth.align", "false"),
+];
+const ADVTEX_B: &[(&str, &str)] = &[
+    ("texsmooth.start", "blank"),
     ("texsmooth.iterations", NUM_STEPS),
     ("texsmooth.align", "false"),
 ];
@@ -155,23 +171,11 @@ pub(super) const METHODS: &[Method] = &[
             ("texsmooth.iterations", NUM_STEPS),
         ],
     ),
-    method(
-        "advtex-c",
-        "smooth from l2avg without alignment",
-        &[
-            ("texinit.init", "l2avg"),
-            ("texsmooth.iterations", NUM_STEPS),
-            ("texsmooth.align", "false"),
-        ],
-    ),
+    method("advtex-c", "smooth from l2avg without alignment", ADVTEX_C),
     method(
         "advtex-b",
         "smooth from a grey texture without alignment",
-        &[
-            ("texsmooth.start", "blank"),
-            ("texsmooth.iterations", NUM_STEPS),
-            ("texsmooth.align", "false"),
-        ],
+        ADVTEX_B,
     ),
     method(
         "patch2",
@@ -194,6 +198,15 @@ pub(super) const METHODS: &[Method] = &[
         ],
     ),
     method(
+        "smooth-pairwise",
+        "smooth from pairwise",
+        &[
+            ("texinit.init", "assigned"),
+            ("texinit.pairwise_weight", "1"),
+            ("texsmooth.iterations", NUM_STEPS),
+        ],
+    ),
+    method(
         "l1-only",
         "smooth without a discriminator",
         &[
@@ -202,10 +215,14 @@ pub(super) const METHODS: &[Method] = &[
             ("texsmooth.discriminator.enabled", "false"),
         ],
     ),
-    every(2, "every-2", "t-only from every second view"),
-    every(3, "every-3", "t-only from every third view"),
-    every(4, "every-4", "t-only from every fourth view"),
-    every(5, "every-5", "t-only from every fifth view"),
+    every(2, "every-2", "t-only from every second view", T_ONLY),
+    every(3, "every-3", "t-only from every third view", T_ONLY),
+    every(4, "every-4", "t-only from every fourth view", T_ONLY),
+    every(5, "every-5", "t-only from every fifth view", T_ONLY),
+    every(2, "smooth-every-2", "smooth from every second view", SMOOTH),
+    every(3, "smooth-every-3", "smooth from every third view", SMOOTH),
+    every(4, "smooth-every-4", "smooth from every fourth view", SMOOTH),
+    every(5, "smooth-every-5", "smooth from every fifth view", SMOOTH),
     noisy(
         "l2avg-noise",
         "l2avg with ±5 % on each Euler angle and translation component of the training poses",
@@ -220,6 +237,8 @@ pub(super) const METHODS: &[Method] = &[
     noisy("full-noise", "full with the same noise", FULL),
     noisy("smooth-noise", "smooth with the same noise", SMOOTH),
     noisy("no-align-noise", "no-align with the same noise", NO_ALIGN),
+    noisy("advtex-c-noise", "advtex-c with the same noise", ADVTEX_C),
+    noisy("advtex-b-noise", "advtex-b with the same noise", ADVTEX_B),
 ];
 
 impl Method {

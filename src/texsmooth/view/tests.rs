@@ -194,3 +194,46 @@ fn another_camera_sees_points_where_they_are_and_not_what_is_hidden() {
     let found = blocked.project_from(&first, &walled, &surface.point_in_camera, 0.05);
     assert!(found.iter().all(Option::is_none));
 }
+
+#[test]
+fn a_pixel_covers_as_many_texels_as_the_jacobian_says() {
+    let (mesh, mut layout, texture) = square();
+    // Flattened without distortion: the slope is unrolled.
+    for (corners, triangle) in layout.corners_texel.iter_mut().zip(mesh.triangle_ids()) {
+        for (texel, point) in corners.iter_mut().zip(mesh.corners_m(triangle)) {
+            let along = point.x * 1.0f64.hypot(SLOPE);
+            *texel = [along, point.y].map(|m| (m * 100.0 + 50.0) as f32);
+        }
+    }
+    let texels = Texels::from_texture(&texture).unwrap();
+    let view = view(&mesh, RigidTransform::identity());
+    let on = Surface {
+        mesh: &mesh,
+        layout: &layout,
+    };
+    let found = view.surface(on, &texels, WHOLE, 1, [0.0; 2]);
+    let place = |x: f64, y: f64| {
+        let ray = camera().ray(x, y);
+        let depth_m = 2.0 / (1.0 - SLOPE * ray.x);
+        [ray.x * depth_m * 1.0f64.hypot(SLOPE), ray.y * depth_m].map(|m| m * 100.0)
+    };
+    let mut num_seen = 0;
+    for (i, &covered) in found.texels_per_px.iter().enumerate() {
+        if found.point_in_camera[i][0].is_nan() {
+            assert_eq!(covered, 0.0);
+            continue;
+        }
+        let (x, y) = ((i % 64) as f64, (i / 64) as f64);
+        let columns = [
+            [place(x + 0.5, y), place(x - 0.5, y)],
+            [place(x, y + 0.5), place(x, y - 0.5)],
+        ]
+        .map(|[after, before]| nalgebra::Vector2::new(after[0] - before[0], after[1] - before[1]));
+        let largest = nalgebra::Matrix2::from_columns(&columns).singular_values()[0];
+        // Off the axis a pixel is a little narrower than z/f.
+        let ratio = f64::from(covered) / largest;
+        assert!((0.93..1.07).contains(&ratio), "pixel {i}: {covered} {largest}");
+        num_seen += 1;
+    }
+    assert!(num_seen > 900, "{num_seen}");
+}
