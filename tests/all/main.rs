@@ -22,6 +22,7 @@ mod flatten_peers;
 mod import;
 mod interfaces;
 mod interrupt;
+mod launch_configs;
 mod lens;
 mod mesh_types;
 mod metric_peers;
