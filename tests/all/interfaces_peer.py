@@ -27,7 +27,10 @@ def class_of(name):
 
 def plain(value):
     if hasattr(value, "get_fields_and_field_types"):
-        return {name: plain(getattr(value, name)) for name in value.get_fields_and_field_types()}
+        fields = value.get_fields_and_field_types()
+        # Messages without fields have one all the same, for DDS has no empty structs.
+        fields = [name for name in fields if name != "structure_needs_at_least_one_member"]
+        return {name: plain(getattr(value, name)) for name in fields}
     if isinstance(value, (list, tuple, array.array, np.ndarray)):
         return [plain(element) for element in value]
     if isinstance(value, np.generic):
@@ -40,7 +43,6 @@ for path in sorted(folder.glob("*.cdr")):
     expected = json.loads(path.with_suffix(".json").read_text())
     message = deserialize_message(path.read_bytes(), class_of(expected["type"]))
     said = plain(message)
-    assert list(said) == list(expected["says"]) or set(said) == set(expected["says"]), path
     assert said == expected["says"], f"{expected['type']}\n{said}\n{expected['says']}"
     path.with_suffix(".theirs").write_bytes(serialize_message(message))
     num_messages += 1
