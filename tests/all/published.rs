@@ -1,7 +1,5 @@
 //! What `replay --record` writes, against independent decoders and the exports of the same run.
 
-#![expect(clippy::unwrap_used, reason = "a test may panic")]
-
 use std::path::Path;
 use std::process::Command;
 
