@@ -25,7 +25,7 @@ use super::texels::{AdamStep, Footprint, Texels, to_byte};
 use super::view::{CropSurface, PixelRect, Surface};
 use super::views::{Seen, UnseenError, Views, partners};
 use super::{Decode, L1Target, PartnerOffset, PartnerRule, SmoothStart, TexSmoothParams};
-use crate::atlas::{AtlasLayout, AtlasTexture, TextureMismatch};
+use crate::atlas::{AtlasLayout, AtlasTexture, TexelSource, TextureMismatch};
 use crate::geom::ColorImage;
 use crate::keyframe::Keyframe;
 use crate::mesh::TriMesh;
@@ -340,11 +340,8 @@ impl Optimisation<'_> {
             crop.judge(critic.as_mut(), self.params, &mut losses, &mut gradient)?;
             self.report.num_critic_steps += usize::from(losses.has_critic_stepped);
         }
-        weigh(
-            &mut gradient,
-            &surface.texels_per_px,
-            self.params.resolution_exponent,
-        );
+        let painter = TexelSource::keyframe(self.views.frame(index).id.0);
+        self.weigh(&mut gradient, &surface, painter);
         let adam = AdamStep {
             learning_rate: self.params.learning_rate_at(step),
             betas: self.params.betas,
@@ -553,6 +550,32 @@ impl Optimisation<'_> {
         mean
     }
 
+    /// Scales each pixel's gradient by what it is worth: less where it covers many texels, more where
+    /// its photo, that of `painter`, is what the texel was painted from.
+    fn weigh(&self, gradient: &mut [f32], surface: &CropSurface, painter: TexelSource) {
+        let exponent = self.params.resolution_exponent;
+        let own_weight = self.params.own_weight;
+        if exponent == 0.0 && own_weight == 1.0 {
+            return;
+        }
+        let texels = &self.texels;
+        let weights: Vec<f32> = surface
+            .footprint
+            .par_iter()
+            .zip(&surface.texels_per_px)
+            .map(|(footprint, texels_per_px)| {
+                let is_own = texels.source(footprint) == painter;
+                let weight = texels_per_px.max(1.0).powf(-exponent);
+                if is_own { weight * own_weight } else { weight }
+            })
+            .collect();
+        for channel in gradient.chunks_exact_mut(weights.len()) {
+            for (value, weight) in channel.iter_mut().zip(&weights) {
+                *value *= weight;
+            }
+        }
+    }
+
     /// The first view that decodes: its photo, and beside it the rendering.
     fn preview(&mut self) -> Option<ColorImage> {
         let index = self.views.len() / 2;
@@ -657,22 +680,6 @@ impl Crop<'_> {
             *sum += value;
         }
         Ok(())
-    }
-}
-
-/// Scales the gradient of pixels that cover more than one texel by their number to minus `exponent`.
-fn weigh(gradient: &mut [f32], texels_per_px: &[f32], exponent: f32) {
-    if exponent == 0.0 {
-        return;
-    }
-    let weights: Vec<f32> = texels_per_px
-        .iter()
-        .map(|&texels| texels.max(1.0).powf(-exponent))
-        .collect();
-    for channel in gradient.chunks_exact_mut(weights.len().max(1)) {
-        for (value, weight) in channel.iter_mut().zip(&weights) {
-            *value *= weight;
-        }
     }
 }
 
