@@ -7,6 +7,7 @@
 
 pub mod parameter;
 pub mod params_file;
+mod publish;
 mod smooth;
 pub mod tree;
 
@@ -15,6 +16,7 @@ pub use parameter::{Parameter, ParameterError};
 use crate::bag::TopicRoles;
 use crate::export::ExportParams;
 use crate::pipeline::PipelineParams;
+use crate::publish::PublishParams;
 
 /// Everything that can be set.
 #[derive(Clone, Debug, Default)]
@@ -25,6 +27,8 @@ pub struct Config {
     pub pipeline: PipelineParams,
     /// What is written.
     pub export: ExportParams,
+    /// How the result becomes messages.
+    pub publish: PublishParams,
 }
 
 impl Config {

@@ -39,6 +39,7 @@ pub mod mesh;
 pub mod metrics;
 pub mod photometric;
 pub mod pipeline;
+pub mod publish;
 pub mod render;
 pub mod report;
 #[cfg(feature = "bag")]
