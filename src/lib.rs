@@ -39,8 +39,11 @@ pub mod mesh;
 pub mod metrics;
 pub mod photometric;
 pub mod pipeline;
+pub mod publish;
 pub mod render;
 pub mod report;
+#[cfg(feature = "ros")]
+pub mod ros;
 #[cfg(feature = "bag")]
 pub mod synth;
 pub mod texinit;

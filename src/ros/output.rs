@@ -1,0 +1,327 @@
+//! The thread that publishes: what was painted last becomes messages, and they go out at a byte
+//! rate, topic by topic in turn.
+//!
+//! A topic that nobody listens to costs nothing. Each output has its own [`Publisher`] and its own
+//! queue, the messages of one revision; while they go out, newer paintings coalesce. A reader that
+//! does not acknowledge fills its topic's window of `publish.depth` messages: the topic then waits
+//! for it, the others go on, and the memory held is that window. The wait ends when the reader
+//! reads, or when its lease ends.
+//!
+//! Late joiners get the window by `transient_local`. Where more was published since the last whole
+//! than the window holds, the whole is published again for them.
+
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use ros2_client::Context;
+use rustdds::GUID;
+use rustdds::bytes::Bytes;
+
+use crate::pipeline::{Latest, Painted};
+use crate::publish::{OutputTopic, PublishParams, Publisher, Snapshot};
+
+use super::error::NodeError;
+use super::graph::{self, EntityList};
+use super::names::NameResolver;
+use super::pacer::Pacer;
+use super::transport::{RawWriter, TopicQos, Written};
+
+/// How often readers are looked for.
+const LOOK_PERIOD: Duration = Duration::from_millis(100);
+/// How long a topic whose window is full is left alone.
+const WINDOW_RETRY: Duration = Duration::from_millis(20);
+/// How long this thread works before it looks at what is new.
+const SLICE: Duration = Duration::from_millis(50);
+
+/// What went out on a topic.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct OutputCounts {
+    /// The topic's absolute name.
+    pub topic: String,
+    /// Who listens.
+    pub num_readers: usize,
+    /// Messages handed to DDS.
+    pub num_messages: u64,
+    /// Their bytes.
+    pub num_bytes: u64,
+    /// Messages that are made and not yet sent.
+    pub num_pending: usize,
+    /// Revisions that a newer one replaced before a message of them was made.
+    pub num_superseded: u64,
+    /// Messages that DDS refused.
+    pub num_failed: u64,
+    /// Since when a reader does not acknowledge, if one does not.
+    pub lagging_since: Option<Instant>,
+    /// The revision that was handed over last.
+    pub revision: Option<u64>,
+}
+
+struct Output {
+    topic: OutputTopic,
+    name: String,
+    writer: RawWriter,
+    publisher: Publisher,
+    pending: VecDeque<Bytes>,
+    readers: BTreeSet<GUID>,
+    /// The revision whose messages were made last.
+    made: Option<u64>,
+    /// Messages made since the whole was published.
+    num_since_whole: usize,
+    needs_whole: bool,
+    retry_at: Option<Instant>,
+    counts: OutputCounts,
+}
+
+/// What the thread that publishes shares with the rest.
+#[derive(Debug, Default)]
+pub(super) struct OutputState {
+    counts: Mutex<BTreeMap<OutputTopic, OutputCounts>>,
+    is_active: AtomicBool,
+}
+
+impl OutputState {
+    /// The counts of all outputs.
+    pub(super) fn counts(&self) -> Vec<OutputCounts> {
+        let counts = self.counts.lock().unwrap_or_else(PoisonError::into_inner);
+        counts.values().cloned().collect()
+    }
+
+    /// Whether anything is published.
+    pub(super) fn set_active(&self, is_active: bool) {
+        self.is_active.store(is_active, Ordering::Relaxed);
+    }
+}
+
+/// Settings of the thread that publishes.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct OutputParams {
+    /// Bytes in a second, all topics together.
+    pub(super) bytes_per_s: f64,
+    /// Messages that each topic keeps.
+    pub(super) depth: usize,
+    /// How messages are made.
+    pub(super) publish: PublishParams,
+    /// Tells one run of the node from another.
+    pub(super) session: u64,
+}
+
+/// All outputs.
+pub(super) struct Outputs {
+    context: Context,
+    outputs: Vec<Output>,
+    params: OutputParams,
+    pacer: Pacer,
+    state: Arc<OutputState>,
+    current: Option<Arc<Painted>>,
+    looked_at: Option<Instant>,
+}
+
+impl Outputs {
+    pub(super) fn new(
+        context: &Context,
+        names: &NameResolver,
+        entities: &EntityList,
+        params: OutputParams,
+        state: Arc<OutputState>,
+    ) -> Result<Self, NodeError> {
+        let qos = TopicQos {
+            is_reliable: true,
+            is_latched: true,
+            depth: params.depth,
+        };
+        let mut outputs = Vec::new();
+        for topic in OutputTopic::ALL {
+            let name = names.resolve(&format!("~/{}", topic.name()))?;
+            let writer = RawWriter::new(context, &name, topic.type_name(), qos)?;
+            entities.add_writer(writer.gid());
+            outputs.push(Output {
+                topic,
+                counts: OutputCounts {
+                    topic: name.clone(),
+                    ..OutputCounts::default()
+                },
+                name,
+                writer,
+                publisher: Publisher::new(params.publish),
+                pending: VecDeque::new(),
+                readers: BTreeSet::new(),
+                made: None,
+                num_since_whole: 0,
+                needs_whole: false,
+                retry_at: None,
+            });
+        }
+        Ok(Self {
+            context: context.clone(),
+            outputs,
+            params,
+            pacer: Pacer::new(params.bytes_per_s, Instant::now()),
+            state,
+            current: None,
+            looked_at: None,
+        })
+    }
+
+    /// Publishes what `painted` brings until it is shut.
+    pub(super) fn run(mut self, painted: &Latest<Arc<Painted>>) {
+        while !painted.is_shut() {
+            let has_work = self.outputs.iter().any(|output| !output.pending.is_empty());
+            let wait = if has_work { Duration::ZERO } else { LOOK_PERIOD };
+            if let Some(new) = painted.take(wait) {
+                self.note_superseded();
+                self.current = Some(new);
+            }
+            let now = Instant::now();
+            if self.looked_at.is_none_or(|at| now - at >= LOOK_PERIOD) {
+                self.looked_at = Some(now);
+                self.look_for_readers();
+            }
+            if self.state.is_active.load(Ordering::Relaxed) {
+                self.make_messages();
+                self.send(now + SLICE);
+            } else if has_work {
+                std::thread::sleep(SLICE);
+            }
+            self.report();
+        }
+    }
+
+    /// The current painting goes; outputs that have not made messages of it never will.
+    fn note_superseded(&mut self) {
+        let Some(current) = &self.current else {
+            return;
+        };
+        let revision = current.capture.revision;
+        for output in &mut self.outputs {
+            let is_missed = !output.readers.is_empty() && output.made != Some(revision);
+            output.counts.num_superseded += u64::from(is_missed);
+        }
+    }
+
+    fn look_for_readers(&mut self) {
+        for output in &mut self.outputs {
+            let readers = graph::readers(&self.context, &output.name);
+            let has_new = readers.iter().any(|reader| !output.readers.contains(reader));
+            // What late joiners need may have left the window.
+            output.needs_whole |= has_new && output.num_since_whole > self.params.depth;
+            output.readers = readers;
+        }
+    }
+
+    fn make_messages(&mut self) {
+        let Some(painted) = self.current.clone() else {
+            return;
+        };
+        let revision = painted.capture.revision;
+        let frame = painted.capture.ingest.world_frame.as_deref();
+        let snapshot = Snapshot {
+            stamp: painted.capture.stamp,
+            frame_id: frame.unwrap_or_default(),
+            session: self.params.session,
+            revision,
+            mesh: &painted.mesh,
+            layout: &painted.textured.texinit.layout,
+            texture: &painted.textured.texinit.texture,
+            keyframes: &painted.textured.keyframes,
+        };
+        for output in &mut self.outputs {
+            let is_due = output.made != Some(revision) || output.needs_whole;
+            if output.readers.is_empty() || !output.pending.is_empty() || !is_due {
+                continue;
+            }
+            if output.made.is_none() || output.needs_whole {
+                output.publisher = Publisher::new(self.params.publish);
+                output.num_since_whole = 0;
+                output.needs_whole = false;
+            }
+            output.made = Some(revision);
+            let topic = output.topic;
+            match output.publisher.publish(&snapshot, &|t| t == topic) {
+                Ok(messages) => {
+                    output.num_since_whole += messages.len();
+                    output
+                        .pending
+                        .extend(messages.into_iter().map(|m| Bytes::from(m.bytes)));
+                }
+                Err(error) => {
+                    output.counts.num_failed += 1;
+                    tracing::error!(topic = output.name, "nothing is published: {error}");
+                }
+            }
+        }
+    }
+
+    /// Sends in turn until all is sent or `until`.
+    fn send(&mut self, until: Instant) {
+        loop {
+            let now = Instant::now();
+            let is_ready = |output: &Output| {
+                !output.pending.is_empty() && output.retry_at.is_none_or(|at| at <= now)
+            };
+            if now >= until || !self.outputs.iter().any(is_ready) {
+                break;
+            }
+            for output in self.outputs.iter_mut().filter(|output| is_ready(output)) {
+                let delay = self.pacer.delay(Instant::now());
+                if !delay.is_zero() {
+                    std::thread::sleep(delay.min(SLICE));
+                    break;
+                }
+                self.pacer.spend(output.send_one());
+            }
+        }
+        let is_waiting = self.outputs.iter().any(|output| output.retry_at.is_some());
+        if is_waiting && Instant::now() < until {
+            std::thread::sleep(WINDOW_RETRY);
+        }
+    }
+
+    fn report(&mut self) {
+        let mut counts = self
+            .state
+            .counts
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner);
+        for output in &mut self.outputs {
+            output.counts.num_readers = output.readers.len();
+            output.counts.num_pending = output.pending.len();
+            counts.insert(output.topic, output.counts.clone());
+        }
+    }
+}
+
+impl Output {
+    /// Sends the next message; its bytes, 0 where it has to wait.
+    fn send_one(&mut self) -> usize {
+        let Some(message) = self.pending.pop_front() else {
+            return 0;
+        };
+        let num_bytes = message.len();
+        match self.writer.write(message) {
+            Written::Sent => {
+                self.counts.num_messages += 1;
+                self.counts.num_bytes += num_bytes as u64;
+                self.retry_at = None;
+                self.counts.lagging_since = None;
+                if self.pending.is_empty() {
+                    self.counts.revision = self.made;
+                }
+                num_bytes
+            }
+            Written::WindowFull(message) => {
+                self.pending.push_front(message);
+                let now = Instant::now();
+                self.retry_at = Some(now + WINDOW_RETRY);
+                self.counts.lagging_since.get_or_insert(now);
+                0
+            }
+            Written::Failed(reason) => {
+                self.counts.num_failed += 1;
+                tracing::error!(topic = self.name, "a message was not sent: {reason}");
+                0
+            }
+        }
+    }
+}
