@@ -64,9 +64,14 @@ def shape_mesh(data):
         at += 4
         return value
 
+    def skip_string():
+        nonlocal at
+        length = u32()
+        at += length
+
     u32(), u32()
-    at += u32()  # frame_id
-    at += u32()  # uuid
+    skip_string()  # frame_id
+    skip_string()  # uuid
     vertices = []
     for _ in range(u32()):
         align(8)
