@@ -13,17 +13,25 @@
 
 pub mod args;
 pub mod clock;
+mod control;
+mod diagnostics;
 mod engine;
 pub mod env;
 pub mod error;
+pub mod files;
 mod graph;
 pub mod inbox;
 pub mod inputs;
+pub mod lifecycle;
+mod monitor;
 pub mod names;
 pub mod node;
 pub mod output;
 pub mod pacer;
+pub mod parameters;
 mod receive;
+mod service_types;
+mod services;
 pub mod socket_buffer;
 pub mod source;
 pub mod transport;

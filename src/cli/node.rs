@@ -90,6 +90,6 @@ pub(super) fn run(args: &NodeArgs, ros_args: Option<&RosArgs>) -> anyhow::Result
         network,
         has_rosout: ros_args.has_rosout,
     };
-    node::run(setup, &stop)?;
+    node::run(&setup, &stop)?;
     Ok(())
 }

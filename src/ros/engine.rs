@@ -36,41 +36,41 @@ pub(super) enum Order {
 
 /// How long a stage takes.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct StageStatus {
+pub(super) struct StageStatus {
     /// How often it ran.
-    pub num_runs: u64,
+    pub(super) num_runs: u64,
     /// The last run, seconds.
-    pub last_s: f64,
+    pub(super) last_s: f64,
     /// All runs, seconds.
-    pub sum_s: f64,
+    pub(super) sum_s: f64,
 }
 
 /// What painting did.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct PaintStatus {
+pub(super) struct PaintStatus {
     /// Paintings made.
-    pub num_painted: u64,
+    pub(super) num_painted: u64,
     /// Paintings that failed.
-    pub num_failed: u64,
+    pub(super) num_failed: u64,
     /// Why the last one failed.
-    pub last_error: Option<String>,
+    pub(super) last_error: Option<String>,
     /// Whether a painting is being made.
-    pub is_painting: bool,
+    pub(super) is_painting: bool,
     /// By stage, in seconds.
-    pub stages: BTreeMap<&'static str, StageStatus>,
+    pub(super) stages: BTreeMap<&'static str, StageStatus>,
     /// Share of the mesh's triangles that a keyframe painted, 0 to 1.
-    pub coverage: f32,
+    pub(super) coverage: f32,
     /// Charts of the atlas.
-    pub num_charts: usize,
+    pub(super) num_charts: usize,
     /// Pages of the atlas.
-    pub num_pages: usize,
+    pub(super) num_pages: usize,
     /// The revision painted last.
-    pub revision: u64,
+    pub(super) revision: u64,
 }
 
 /// What all threads share.
 pub(super) struct Shared {
-    pub(super) config: RwLock<Config>,
+    config: RwLock<Config>,
     pub(super) inbox: Arc<Inbox>,
     captures: Latest<Capture>,
     pub(super) painted: Latest<Arc<Painted>>,
@@ -109,6 +109,11 @@ impl Shared {
     pub(super) fn config(&self) -> Config {
         let config = self.config.read().unwrap_or_else(PoisonError::into_inner);
         config.clone()
+    }
+
+    /// From now on another configuration.
+    pub(super) fn set_config(&self, config: Config) {
+        *self.config.write().unwrap_or_else(PoisonError::into_inner) = config;
     }
 
     /// What the scan was like a moment ago.

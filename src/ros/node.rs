@@ -10,15 +10,19 @@ use smol::channel::Receiver as Stop;
 use crate::config::Config;
 
 use super::clock::RosClock;
+use super::control::Control;
 use super::engine::{Engine, Shared};
 use super::env::Network;
 use super::error::NodeError;
 use super::graph::{self, EntityList};
 use super::inbox::Inbox;
 use super::inputs::{self, Chooser, Input};
+use super::lifecycle::Transition;
+use super::monitor::{GraphView, Monitor, Watched};
 use super::names::NameResolver;
 use super::output::{OutputParams, OutputState, Outputs};
 use super::receive::Receiving;
+use super::services::Services;
 use super::{socket_buffer, transport};
 
 /// How often the graph is looked at.
@@ -43,34 +47,22 @@ pub struct NodeSetup {
 ///
 /// # Errors
 /// [`NodeError`] when it cannot start.
-pub fn run(setup: NodeSetup, stop: &Stop<()>) -> Result<(), NodeError> {
+pub fn run(setup: &NodeSetup, stop: &Stop<()>) -> Result<(), NodeError> {
     for note in &setup.network.notes {
         tracing::warn!("{note}");
     }
-    match socket_buffer::granted_bytes() {
-        Ok(granted) => {
-            if let Some(remedy) = socket_buffer::remedy(granted) {
-                tracing::warn!("{remedy}");
-            }
-        }
-        Err(error) => tracing::warn!("the socket buffer could not be checked: {error}"),
-    }
-    let running = Running::start(&setup)?;
-    let result = running.until(stop);
-    tracing::info!("stopped");
-    result
+    Running::start(setup)?.until(setup, stop)
 }
 
 struct Running {
-    // Dropped in this order: what uses the node before the node.
-    receiving: Receiving,
-    engine: Engine,
     node: Node,
     context: Context,
-    shared: Arc<Shared>,
+    control: Arc<Control>,
+    receiving: Receiving,
+    clock: Arc<RosClock>,
     inputs: Vec<Input>,
     entities: Arc<EntityList>,
-    output_state: Arc<OutputState>,
+    output: Arc<OutputState>,
     publishing: std::thread::JoinHandle<()>,
 }
 
@@ -78,18 +70,7 @@ impl Running {
     fn start(setup: &NodeSetup) -> Result<Self, NodeError> {
         let (names, config) = (&setup.names, &setup.config);
         let inputs = inputs::inputs(names, config)?;
-        let participant = transport::participant(&setup.network)?;
-        let context = Context::from_domain_participant(participant)
-            .map_err(|e| NodeError::dds("the ROS context", &e))?;
-        let name = NodeName::new(names.node().namespace(), names.node().base_name())
-            .map_err(|e| NodeError::dds("the node's name", &e))?;
-        let options = NodeOptions::new()
-            .enable_rosout(setup.has_rosout)
-            .start_parameter_services(false);
-        let node = context
-            .new_node(name, options)
-            .map_err(|e| NodeError::dds("the node", &e))?;
-
+        let (context, node) = make_node(setup)?;
         let entities = Arc::new(EntityList::new(&context, &names.node().fully_qualified())?);
         let capacities: Vec<usize> = inputs.iter().map(|input| input.queue_size).collect();
         let inbox = Arc::new(Inbox::new(&capacities, bytes_from_mb(config.node.queue_mb)));
@@ -105,20 +86,13 @@ impl Running {
         if clock.is_simulated() {
             receiving.subscribe_clock(&names.resolve("/clock")?)?;
         }
-        let output_state = Arc::new(OutputState::default());
+        let output = Arc::new(OutputState::new(config.node.publish_rate_mb * 1e6));
         let params = OutputParams {
-            bytes_per_s: config.node.publish_rate_mb * 1e6,
             depth: config.node.publish_depth,
             publish: crate::publish::PublishParams::default(),
             session: u64::try_from(RosClock::new(false).now().as_nanos()).unwrap_or(0),
         };
-        let outputs = Outputs::new(
-            &context,
-            names,
-            &entities,
-            params,
-            Arc::clone(&output_state),
-        )?;
+        let outputs = Outputs::new(&context, names, &entities, params, Arc::clone(&output))?;
         let publishing = std::thread::Builder::new()
             .name("veneer-publish".to_owned())
             .spawn({
@@ -129,116 +103,177 @@ impl Running {
                 what: "the thread that publishes",
                 source,
             })?;
+        let control = Arc::new(Control::new(shared, engine, Arc::clone(&output)));
         Ok(Self {
-            receiving,
-            engine,
             node,
             context,
-            shared,
+            control,
+            receiving,
+            clock,
             inputs,
             entities,
-            output_state,
+            output,
             publishing,
         })
     }
 
-    fn until(mut self, stop: &Stop<()>) -> Result<(), NodeError> {
+    fn until(mut self, setup: &NodeSetup, stop: &Stop<()>) -> Result<(), NodeError> {
         let spinner = self
             .node
             .spinner()
             .map_err(|e| NodeError::dds("the node's spinner", &e))?;
-        self.shared.inbox.set_open(true);
-        self.output_state.set_active(true);
-        {
-            let executor = LocalExecutor::new();
-            let spinning = executor.spawn(async move {
-                if let Err(error) = spinner.spin().await {
-                    tracing::error!("the node's spinner ended: {error}");
-                }
-            });
-            let watching = executor.spawn(watch_graph(
-                &self.context,
-                &self.receiving,
-                &self.inputs,
-                &self.entities,
-            ));
-            smol::block_on(executor.run(async {
+        let executor = LocalExecutor::new();
+        let spinning = executor.spawn(async move {
+            if let Err(error) = spinner.spin().await {
+                tracing::error!("the node's spinner ended: {error}");
+            }
+        });
+        let services = Services::new(
+            &mut self.node,
+            &setup.names,
+            &self.context,
+            &executor,
+            Arc::clone(&self.control),
+        );
+        services.offer_all(Arc::clone(&self.clock))?;
+        let graph_view = Arc::new(GraphView::default());
+        let watched = Watched {
+            control: Arc::clone(&self.control),
+            output: Arc::clone(&self.output),
+            graph: Arc::clone(&graph_view),
+            clock: Arc::clone(&self.clock),
+            inputs: self.inputs.clone(),
+            socket_remedy: socket_remedy(),
+        };
+        let monitor = Monitor::new(&self.context, &setup.names, &self.entities, watched)?;
+        let monitoring = executor.spawn(monitor.run());
+        if setup.config.node.autostart {
+            self.control.change(Transition::Configure);
+            self.control.change(Transition::Activate);
+        }
+        let watcher = GraphWatcher {
+            context: &self.context,
+            receiving: &self.receiving,
+            inputs: &self.inputs,
+            entities: &self.entities,
+            view: &graph_view,
+        };
+        smol::block_on(executor.run(async {
+            let stopped = async {
                 // A closed channel is a word to stop as well.
                 stop.recv().await.ok();
-            }));
-            drop((spinning, watching));
-        }
-        self.stop();
+            };
+            futures::future::select(Box::pin(stopped), Box::pin(watcher.run())).await;
+        }));
+        drop((spinning, monitoring, executor));
+        self.stop(setup);
         Ok(())
     }
 
-    fn stop(self) {
+    fn stop(self, setup: &NodeSetup) {
         let Self {
-            receiving,
-            engine,
             node,
             context,
-            shared,
+            control,
+            receiving,
             publishing,
             ..
         } = self;
-        shared.inbox.set_open(false);
+        control.shared.inbox.set_open(false);
         drop(receiving);
-        drop(engine);
+        if let Some(path) = &setup.config.node.save_on_shutdown {
+            match control.save(path) {
+                Ok(done) => tracing::info!("saved {done}"),
+                Err(error) => tracing::error!("nothing was saved: {error}"),
+            }
+        }
+        control.shared.shut();
         if publishing.join().is_err() {
             tracing::error!("the thread that publishes has panicked");
         }
+        drop(control);
         drop(node);
         drop(context);
+        tracing::info!("stopped");
+    }
+}
+
+fn make_node(setup: &NodeSetup) -> Result<(Context, Node), NodeError> {
+    let participant = transport::participant(&setup.network)?;
+    let context = Context::from_domain_participant(participant)
+        .map_err(|e| NodeError::dds("the ROS context", &e))?;
+    let identity = setup.names.node();
+    let name = NodeName::new(identity.namespace(), identity.base_name())
+        .map_err(|e| NodeError::dds("the node's name", &e))?;
+    // The library's own parameter services know neither ranges nor descriptions.
+    let options = NodeOptions::new()
+        .enable_rosout(setup.has_rosout)
+        .start_parameter_services(false);
+    let node = context
+        .new_node(name, options)
+        .map_err(|e| NodeError::dds("the node", &e))?;
+    Ok((context, node))
+}
+
+fn socket_remedy() -> Option<String> {
+    match socket_buffer::granted_bytes() {
+        Ok(granted) => socket_buffer::remedy(granted),
+        Err(error) => Some(format!("the socket buffer could not be checked: {error}")),
     }
 }
 
 /// Subscribes as publishers show up.
-async fn watch_graph(
-    context: &Context,
-    receiving: &Receiving,
-    inputs: &[Input],
-    entities: &EntityList,
-) {
-    let mut chooser = Chooser::new(inputs);
-    let mut complaints: Vec<String> = Vec::new();
-    let mut num_seen = 0;
-    let mut changed_at = Instant::now();
-    let mut sent_at = None;
-    loop {
-        let offers = graph::offers(context);
-        for choice in chooser.update(Instant::now(), &offers) {
-            let topic = &inputs[choice.input].topic;
-            match receiving.subscribe(inputs, &choice) {
-                Ok(()) => tracing::info!(
-                    "reads {topic} as {} ({})",
-                    choice.message_type.name(),
-                    if choice.qos.is_reliable {
-                        "reliable"
-                    } else {
-                        "best effort"
-                    }
-                ),
-                Err(error) => tracing::error!("{error}"),
+struct GraphWatcher<'a> {
+    context: &'a Context,
+    receiving: &'a Receiving,
+    inputs: &'a [Input],
+    entities: &'a EntityList,
+    view: &'a GraphView,
+}
+
+impl GraphWatcher<'_> {
+    async fn run(&self) {
+        let mut chooser = Chooser::new(self.inputs);
+        let mut num_seen = 0;
+        let mut changed_at = Instant::now();
+        let mut sent_at = None;
+        loop {
+            let offers = graph::offers(self.context);
+            for choice in chooser.update(Instant::now(), &offers) {
+                self.subscribe(&choice);
+                changed_at = Instant::now();
             }
-            changed_at = Instant::now();
+            if offers.len() != num_seen {
+                num_seen = offers.len();
+                changed_at = Instant::now();
+            }
+            let is_fresh = changed_at.elapsed() < RESEND;
+            let is_due = sent_at.is_none_or(|at: Instant| at.elapsed() >= RESEND / 6);
+            if is_fresh && is_due {
+                self.entities.publish(self.context);
+                sent_at = Some(Instant::now());
+            }
+            let complaints = inputs::complaints(self.inputs, &chooser, &offers);
+            let chosen = chooser.chosen().map(|choice| choice.input).collect();
+            self.view.set(offers, complaints, chosen);
+            smol::Timer::after(LOOK_PERIOD).await;
         }
-        let now_wrong = inputs::complaints(inputs, &chooser, &offers);
-        for words in now_wrong.iter().filter(|words| !complaints.contains(words)) {
-            tracing::warn!("{words}");
+    }
+
+    fn subscribe(&self, choice: &inputs::Choice) {
+        let topic = &self.inputs[choice.input].topic;
+        match self.receiving.subscribe(self.inputs, choice) {
+            Ok(()) => {
+                let type_name = choice.message_type.name();
+                let how = if choice.qos.is_reliable {
+                    "reliable"
+                } else {
+                    "best effort"
+                };
+                tracing::info!("reads {topic} as {type_name} ({how})");
+            }
+            Err(error) => tracing::error!("{error}"),
         }
-        complaints = now_wrong;
-        if offers.len() != num_seen {
-            num_seen = offers.len();
-            changed_at = Instant::now();
-        }
-        let is_fresh = changed_at.elapsed() < RESEND;
-        let is_due = sent_at.is_none_or(|at: Instant| at.elapsed() >= RESEND / 6);
-        if is_fresh && is_due {
-            entities.publish(context);
-            sent_at = Some(Instant::now());
-        }
-        smol::Timer::after(LOOK_PERIOD).await;
     }
 }
 

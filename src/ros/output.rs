@@ -12,7 +12,7 @@
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use ros2_client::Context;
@@ -75,13 +75,34 @@ struct Output {
 }
 
 /// What the thread that publishes shares with the rest.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct OutputState {
     counts: Mutex<BTreeMap<OutputTopic, OutputCounts>>,
     is_active: AtomicBool,
+    bytes_per_s: Mutex<f64>,
 }
 
 impl OutputState {
+    /// Nothing is published yet; then at this rate, all topics together.
+    pub(super) fn new(bytes_per_s: f64) -> Self {
+        Self {
+            counts: Mutex::default(),
+            is_active: AtomicBool::new(false),
+            bytes_per_s: Mutex::new(bytes_per_s),
+        }
+    }
+
+    fn rate(&self) -> MutexGuard<'_, f64> {
+        self.bytes_per_s
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// From now on another rate.
+    pub(super) fn set_rate(&self, bytes_per_s: f64) {
+        *self.rate() = bytes_per_s;
+    }
+
     /// The counts of all outputs.
     pub(super) fn counts(&self) -> Vec<OutputCounts> {
         let counts = self.counts.lock().unwrap_or_else(PoisonError::into_inner);
@@ -97,8 +118,6 @@ impl OutputState {
 /// Settings of the thread that publishes.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct OutputParams {
-    /// Bytes in a second, all topics together.
-    pub(super) bytes_per_s: f64,
     /// Messages that each topic keeps.
     pub(super) depth: usize,
     /// How messages are made.
@@ -153,11 +172,12 @@ impl Outputs {
                 retry_at: None,
             });
         }
+        let bytes_per_s = *state.rate();
         Ok(Self {
             context: context.clone(),
             outputs,
             params,
-            pacer: Pacer::new(params.bytes_per_s, Instant::now()),
+            pacer: Pacer::new(bytes_per_s, Instant::now()),
             state,
             current: None,
             looked_at: None,
@@ -178,6 +198,7 @@ impl Outputs {
                 self.looked_at = Some(now);
                 self.look_for_readers();
             }
+            self.pacer.set_rate(*self.state.rate(), now);
             if self.state.is_active.load(Ordering::Relaxed) {
                 self.make_messages();
                 self.send(now + SLICE);

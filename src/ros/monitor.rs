@@ -1,0 +1,207 @@
+//! Looks at the running node once a second, and tells what it saw.
+
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use ros2_client::Context;
+use rustdds::bytes::Bytes;
+
+use crate::wire::event::MessageType;
+
+use super::clock::RosClock;
+use super::control::Control;
+use super::diagnostics::{self, Finding, InputObservation, Level, Observation};
+use super::error::NodeError;
+use super::graph::EntityList;
+use super::inbox::TopicCounts;
+use super::inputs::{Input, Offer};
+use super::names::NameResolver;
+use super::output::OutputState;
+use super::transport::{RawWriter, TopicQos, Written};
+
+/// What the watcher of the graph leaves for the monitor.
+#[derive(Debug, Default)]
+pub(super) struct GraphView {
+    state: Mutex<(Vec<Offer>, Vec<String>, Vec<usize>)>,
+}
+
+impl GraphView {
+    pub(super) fn set(&self, offers: Vec<Offer>, complaints: Vec<String>, chosen: Vec<usize>) {
+        *self.state.lock().unwrap_or_else(PoisonError::into_inner) = (offers, complaints, chosen);
+    }
+
+    fn get(&self) -> (Vec<Offer>, Vec<String>, Vec<usize>) {
+        let state = self.state.lock();
+        state.unwrap_or_else(PoisonError::into_inner).clone()
+    }
+}
+
+/// What is looked at and written to.
+pub(super) struct Monitor {
+    control: Arc<Control>,
+    output: Arc<OutputState>,
+    graph: Arc<GraphView>,
+    clock: Arc<RosClock>,
+    inputs: Vec<Input>,
+    socket_remedy: Option<String>,
+    node_name: String,
+    diagnostics: RawWriter,
+    previous: Vec<TopicCounts>,
+    previous_at: Instant,
+    told: BTreeMap<&'static str, String>,
+}
+
+/// What a [`Monitor`] looks at.
+pub(super) struct Watched {
+    pub(super) control: Arc<Control>,
+    pub(super) output: Arc<OutputState>,
+    pub(super) graph: Arc<GraphView>,
+    pub(super) clock: Arc<RosClock>,
+    pub(super) inputs: Vec<Input>,
+    pub(super) socket_remedy: Option<String>,
+}
+
+impl Monitor {
+    pub(super) fn new(
+        context: &Context,
+        names: &NameResolver,
+        entities: &EntityList,
+        watched: Watched,
+    ) -> Result<Self, NodeError> {
+        let topic = names.resolve("/diagnostics")?;
+        let qos = TopicQos {
+            is_reliable: true,
+            is_latched: false,
+            depth: 10,
+        };
+        let diagnostics = RawWriter::new(context, &topic, diagnostics::DIAGNOSTICS_TYPE, qos)?;
+        entities.add_writer(diagnostics.gid());
+        let Watched {
+            control,
+            output,
+            graph,
+            clock,
+            inputs,
+            socket_remedy,
+        } = watched;
+        Ok(Self {
+            control,
+            output,
+            graph,
+            clock,
+            inputs,
+            socket_remedy,
+            node_name: names.node().fully_qualified(),
+            diagnostics,
+            previous: Vec::new(),
+            previous_at: Instant::now(),
+            told: BTreeMap::new(),
+        })
+    }
+
+    /// Tells once in a period, without end.
+    pub(super) async fn run(mut self) {
+        loop {
+            self.tell();
+            let period = self.control.shared.config().node.diagnostics_period_s;
+            smol::Timer::after(Duration::from_secs_f64(period)).await;
+        }
+    }
+
+    fn tell(&mut self) {
+        let findings = self.look();
+        for finding in &findings {
+            self.log(finding);
+        }
+        let stamp = self.clock.now();
+        let message = diagnostics::message(stamp, &self.node_name, &findings);
+        if let Written::Failed(reason) = self.diagnostics.write(Bytes::from(message)) {
+            tracing::debug!("diagnostics were not sent: {reason}");
+        }
+    }
+
+    /// The log has a problem once, not every second; numbers in it may change.
+    fn log(&mut self, finding: &Finding) {
+        let class: String = finding
+            .message
+            .chars()
+            .filter(|c| !c.is_ascii_digit())
+            .collect();
+        if self.told.get(finding.part) == Some(&class) {
+            return;
+        }
+        let was_told = self.told.insert(finding.part, class).is_some();
+        match finding.level {
+            Level::Error => tracing::error!("{}: {}", finding.part, finding.message),
+            Level::Warn => tracing::warn!("{}: {}", finding.part, finding.message),
+            Level::Ok if was_told => tracing::info!("{}: {}", finding.part, finding.message),
+            Level::Ok => {}
+        }
+    }
+
+    fn look(&mut self) -> Vec<Finding> {
+        let shared = &self.control.shared;
+        let config = shared.config();
+        let (offers, complaints, chosen) = self.graph.get();
+        let counts = shared.inbox.counts();
+        let ages = shared.inbox.ages();
+        let now = Instant::now();
+        let elapsed_s = now.saturating_duration_since(self.previous_at).as_secs_f64();
+        let inputs = self
+            .inputs
+            .iter()
+            .enumerate()
+            .zip(counts.iter().zip(&ages))
+            .map(|((at, input), (counts, age))| {
+                let before = self.previous.get(at).cloned().unwrap_or_default();
+                let num_new = counts.num_received - before.num_received;
+                let readable = |offer: &&Offer| {
+                    let known = MessageType::from_name(&offer.type_name);
+                    offer.topic == input.topic && known.is_some_and(|t| input.types.contains(&t))
+                };
+                InputObservation {
+                    input,
+                    num_publishers: offers.iter().filter(readable).count(),
+                    rate_hz: num_new as f64 / elapsed_s.max(1e-3),
+                    age: *age,
+                    num_new_drops: num_drops(counts) - num_drops(&before),
+                    counts: counts.clone(),
+                }
+            })
+            .collect();
+        let capture = shared.view();
+        let findings = diagnostics::findings(&Observation {
+            state: self.control.state(),
+            is_paused: self.control.is_paused(),
+            now: self.clock.is_running().then(|| self.clock.now()),
+            inputs,
+            complaints: &complaints,
+            capture: capture.as_ref(),
+            paint: &shared.paint_status(),
+            num_captures_replaced: shared.num_captures_replaced(),
+            outputs: &self.output.counts(),
+            pose_source: config.pipeline.ingest.pose_source,
+            transports: [config.node.image_transport, config.node.depth_transport],
+            memory_bytes: resident_bytes().unwrap_or(0),
+            socket_remedy: self.socket_remedy.as_deref(),
+            queue_bytes: shared.inbox.num_bytes(),
+        });
+        self.previous = counts;
+        self.previous_at = now;
+        findings
+    }
+}
+
+/// What went without being asked to: a pause drops on purpose.
+fn num_drops(counts: &TopicCounts) -> u64 {
+    counts.num_dropped_full + counts.num_lost + counts.num_unreadable
+}
+
+/// Memory that the process holds, where the system tells.
+fn resident_bytes() -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find(|line| line.starts_with("VmRSS:"))?;
+    let kilobytes: u64 = line.split_whitespace().nth(1)?.parse().ok()?;
+    Some(kilobytes * 1024)
+}
