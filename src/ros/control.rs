@@ -120,7 +120,7 @@ impl Control {
         if files::needs_painting(&place)? {
             let painted = self.shared.last_painted();
             let painted = painted.ok_or(FileError::Nothing("nothing was painted yet"))?;
-            files::save_painting(&place, &painted, &config.export)
+            files::save_painting(&place, &painted.painted, &config.export)
         } else {
             let capture = self.engine.capture().ok_or(stopping)?;
             files::save_session(&place, &capture)

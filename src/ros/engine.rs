@@ -68,13 +68,23 @@ pub(super) struct PaintStatus {
     pub(super) revision: u64,
 }
 
+/// A painting as it is published.
+#[derive(Debug)]
+pub(super) struct Painting {
+    /// Differs from that of any scan before a reset.
+    pub(super) session: u64,
+    /// Counts the paintings of the session, from 1.
+    pub(super) revision: u64,
+    pub(super) painted: Painted,
+}
+
 /// What all threads share.
 pub(super) struct Shared {
     config: RwLock<Config>,
     pub(super) inbox: Arc<Inbox>,
     captures: Latest<Capture>,
-    pub(super) painted: Latest<Arc<Painted>>,
-    last_painted: Mutex<Option<Arc<Painted>>>,
+    pub(super) painted: Latest<Arc<Painting>>,
+    last_painted: Mutex<Option<Arc<Painting>>>,
     view: Mutex<Option<Capture>>,
     paint_status: Mutex<PaintStatus>,
     /// Set to paint the latest capture again though nothing changed.
@@ -82,6 +92,7 @@ pub(super) struct Shared {
     /// Set while a painting is to be refined by the optimisation, once.
     refine: AtomicBool,
     num_resets: AtomicU64,
+    first_session: u64,
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
@@ -90,7 +101,8 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 impl Shared {
-    pub(super) fn new(config: Config, inbox: Arc<Inbox>) -> Self {
+    /// `session` differs from that of any run of the node before.
+    pub(super) fn new(config: Config, inbox: Arc<Inbox>, session: u64) -> Self {
         Self {
             config: RwLock::new(config),
             inbox,
@@ -102,6 +114,7 @@ impl Shared {
             retexture: AtomicBool::new(false),
             refine: AtomicBool::new(false),
             num_resets: AtomicU64::new(0),
+            first_session: session,
         }
     }
 
@@ -122,7 +135,7 @@ impl Shared {
     }
 
     /// What was painted last.
-    pub(super) fn last_painted(&self) -> Option<Arc<Painted>> {
+    pub(super) fn last_painted(&self) -> Option<Arc<Painting>> {
         lock(&self.last_painted).clone()
     }
 
@@ -373,12 +386,17 @@ fn paint(shared: &Shared) {
         match result {
             Ok(painted) => {
                 note(&mut status, &painted);
+                let number = status.num_painted;
                 drop(status);
                 // What was painted before a reset is of no use to those who asked for it.
                 if shared.num_resets() == num_resets {
-                    let painted = Arc::new(painted);
-                    *lock(&shared.last_painted) = Some(Arc::clone(&painted));
-                    shared.painted.put(painted);
+                    let painting = Arc::new(Painting {
+                        session: shared.first_session + num_resets,
+                        revision: number,
+                        painted,
+                    });
+                    *lock(&shared.last_painted) = Some(Arc::clone(&painting));
+                    shared.painted.put(painting);
                 }
             }
             Err(error) => {

@@ -8,6 +8,7 @@ use smol::LocalExecutor;
 use smol::channel::Receiver as Stop;
 
 use crate::config::Config;
+use crate::publish::PublishParams;
 
 use super::clock::RosClock;
 use super::control::Control;
@@ -75,7 +76,9 @@ impl Running {
         let capacities: Vec<usize> = inputs.iter().map(|input| input.queue_size).collect();
         let inbox = Arc::new(Inbox::new(&capacities, bytes_from_mb(config.node.queue_mb)));
         let clock = Arc::new(RosClock::new(config.node.use_sim_time));
-        let shared = Arc::new(Shared::new(config.clone(), Arc::clone(&inbox)));
+        // The time of the start tells one run of the node from another.
+        let session = u64::try_from(RosClock::new(false).now().as_nanos()).unwrap_or(0);
+        let shared = Arc::new(Shared::new(config.clone(), Arc::clone(&inbox), session));
         let engine = Engine::start(Arc::clone(&shared), &inputs)?;
         let receiving = Receiving::start(
             &context,
@@ -89,8 +92,10 @@ impl Running {
         let output = Arc::new(OutputState::new(config.node.publish_rate_mb * 1e6));
         let params = OutputParams {
             depth: config.node.publish_depth,
-            publish: crate::publish::PublishParams::default(),
-            session: u64::try_from(RosClock::new(false).now().as_nanos()).unwrap_or(0),
+            publish: PublishParams {
+                history_messages: config.node.publish_depth,
+                ..PublishParams::default()
+            },
         };
         let outputs = Outputs::new(&context, names, &entities, params, Arc::clone(&output))?;
         let publishing = std::thread::Builder::new()

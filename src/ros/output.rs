@@ -7,8 +7,8 @@
 //! for it, the others go on, and the memory held is that window. The wait ends when the reader
 //! reads, or when its lease ends.
 //!
-//! Late joiners get the window by `transient_local`. Where more was published since the last whole
-//! than the window holds, the whole is published again for them.
+//! Late joiners get the window by `transient_local`: [`Publisher`] sees to it that it holds a whole
+//! state. Where even the whole is longer than the window, it is published again for them.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -19,9 +19,10 @@ use ros2_client::Context;
 use rustdds::GUID;
 use rustdds::bytes::Bytes;
 
-use crate::pipeline::{Latest, Painted};
+use crate::pipeline::Latest;
 use crate::publish::{OutputTopic, PublishParams, Publisher, Snapshot};
 
+use super::engine::Painting;
 use super::error::NodeError;
 use super::graph::{self, EntityList};
 use super::names::NameResolver;
@@ -67,8 +68,6 @@ struct Output {
     readers: BTreeSet<GUID>,
     /// The revision whose messages were made last.
     made: Option<u64>,
-    /// Messages made since the whole was published.
-    num_since_whole: usize,
     needs_whole: bool,
     retry_at: Option<Instant>,
     counts: OutputCounts,
@@ -122,8 +121,6 @@ pub(super) struct OutputParams {
     pub(super) depth: usize,
     /// How messages are made.
     pub(super) publish: PublishParams,
-    /// Tells one run of the node from another.
-    pub(super) session: u64,
 }
 
 /// All outputs.
@@ -133,7 +130,7 @@ pub(super) struct Outputs {
     params: OutputParams,
     pacer: Pacer,
     state: Arc<OutputState>,
-    current: Option<Arc<Painted>>,
+    current: Option<Arc<Painting>>,
     looked_at: Option<Instant>,
 }
 
@@ -167,7 +164,6 @@ impl Outputs {
                 pending: VecDeque::new(),
                 readers: BTreeSet::new(),
                 made: None,
-                num_since_whole: 0,
                 needs_whole: false,
                 retry_at: None,
             });
@@ -185,7 +181,7 @@ impl Outputs {
     }
 
     /// Publishes what `painted` brings until it is shut.
-    pub(super) fn run(mut self, painted: &Latest<Arc<Painted>>) {
+    pub(super) fn run(mut self, painted: &Latest<Arc<Painting>>) {
         while !painted.is_shut() {
             let has_work = self.outputs.iter().any(|output| !output.pending.is_empty());
             let wait = if has_work { Duration::ZERO } else { LOOK_PERIOD };
@@ -214,7 +210,7 @@ impl Outputs {
         let Some(current) = &self.current else {
             return;
         };
-        let revision = current.capture.revision;
+        let revision = current.revision;
         for output in &mut self.outputs {
             let is_missed = !output.readers.is_empty() && output.made != Some(revision);
             output.counts.num_superseded += u64::from(is_missed);
@@ -226,21 +222,22 @@ impl Outputs {
             let readers = graph::readers(&self.context, &output.name);
             let has_new = readers.iter().any(|reader| !output.readers.contains(reader));
             // What late joiners need may have left the window.
-            output.needs_whole |= has_new && output.num_since_whole > self.params.depth;
+            let num_messages = output.publisher.num_messages_since_whole(output.topic);
+            output.needs_whole |= has_new && num_messages > self.params.depth;
             output.readers = readers;
         }
     }
 
     fn make_messages(&mut self) {
-        let Some(painted) = self.current.clone() else {
+        let Some(painting) = self.current.clone() else {
             return;
         };
-        let revision = painted.capture.revision;
+        let (revision, painted) = (painting.revision, &painting.painted);
         let frame = painted.capture.ingest.world_frame.as_deref();
         let snapshot = Snapshot {
             stamp: painted.capture.stamp,
             frame_id: frame.unwrap_or_default(),
-            session: self.params.session,
+            session: painting.session,
             revision,
             mesh: &painted.mesh,
             layout: &painted.textured.texinit.layout,
@@ -252,16 +249,15 @@ impl Outputs {
             if output.readers.is_empty() || !output.pending.is_empty() || !is_due {
                 continue;
             }
-            if output.made.is_none() || output.needs_whole {
+            if output.needs_whole {
+                // A publisher that has sent nothing sends the whole, of this revision too.
                 output.publisher = Publisher::new(self.params.publish);
-                output.num_since_whole = 0;
                 output.needs_whole = false;
             }
             output.made = Some(revision);
             let topic = output.topic;
             match output.publisher.publish(&snapshot, &|t| t == topic) {
                 Ok(messages) => {
-                    output.num_since_whole += messages.len();
                     output
                         .pending
                         .extend(messages.into_iter().map(|m| Bytes::from(m.bytes)));

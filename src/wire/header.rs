@@ -18,20 +18,33 @@ pub struct WireHeader<'a> {
 /// Smallest size of a header in a message: time and the length of the frame's name.
 pub(super) const MIN_BYTES: usize = 12;
 
+/// A `builtin_interfaces/Time` of the fields of these names.
+pub(super) fn read_time(
+    reader: &mut CdrReader<'_>,
+    sec: &'static str,
+    nanosec: &'static str,
+) -> Result<Stamp, WireError> {
+    let sec = reader.scalar(sec)?;
+    Ok(Stamp::from_ros(sec, reader.scalar(nanosec)?))
+}
+
+/// A `builtin_interfaces/Time`.
+pub(super) fn write_time(writer: &mut CdrWriter, stamp: Stamp) {
+    let (sec, nanosec) = stamp.to_ros();
+    writer.scalar(sec);
+    writer.scalar(nanosec);
+}
+
 impl<'a> WireHeader<'a> {
     pub(super) fn read(reader: &mut CdrReader<'a>) -> Result<Self, WireError> {
-        let sec = reader.scalar("header.stamp.sec")?;
-        let nanosec = reader.scalar("header.stamp.nanosec")?;
         Ok(Self {
-            stamp: Stamp::from_ros(sec, nanosec),
+            stamp: read_time(reader, "header.stamp.sec", "header.stamp.nanosec")?,
             frame_id: reader.string("header.frame_id")?,
         })
     }
 
     pub(super) fn write(&self, writer: &mut CdrWriter) {
-        let (sec, nanosec) = self.stamp.to_ros();
-        writer.scalar(sec);
-        writer.scalar(nanosec);
+        write_time(writer, self.stamp);
         writer.string(self.frame_id);
     }
 

@@ -336,3 +336,7 @@ pub(super) const MESH_UPDATE: &str = concat!(
     ),
     point32!()
 );
+
+mod output;
+
+pub(super) use output::*;

@@ -232,7 +232,10 @@ fn a_pixel_covers_as_many_texels_as_the_jacobian_says() {
         let largest = nalgebra::Matrix2::from_columns(&columns).singular_values()[0];
         // Off the axis a pixel is a little narrower than z/f.
         let ratio = f64::from(covered) / largest;
-        assert!((0.93..1.07).contains(&ratio), "pixel {i}: {covered} {largest}");
+        assert!(
+            (0.93..1.07).contains(&ratio),
+            "pixel {i}: {covered} {largest}"
+        );
         num_seen += 1;
     }
     assert!(num_seen > 900, "{num_seen}");

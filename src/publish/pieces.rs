@@ -1,0 +1,414 @@
+//! The textured mesh cut into pieces, each with a texture of its own, so that a piece fits into a
+//! message.
+//!
+//! A quadtree over each page: a node has the triangles whose centre on the page lies in its square,
+//! and with them the texels around them, cut out of the page. What does not fit is divided at the
+//! middle of its square, so that a change stays in the squares that it touches. A triangle that alone
+//! is too large is divided at the middles of its edges, in the plane and in space alike.
+
+use std::collections::BTreeSet;
+
+use rayon::prelude::*;
+
+use crate::atlas::{TexelRect, TexturePage};
+use crate::export::{ExportError, TexturedMesh};
+
+use super::digest::{Digest, Digester};
+use super::{PublishError, PublishParams, crop};
+
+/// Texels around the triangles that filtering may reach.
+const MARGIN_TEXEL: u32 = 2;
+
+/// A triangle in space and on its page.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct PieceTriangle {
+    /// Corners, metres.
+    pub(super) corners_m: [[f64; 3]; 3],
+    /// Corners on the page, texels.
+    pub(super) corners_texel: [[f32; 2]; 3],
+}
+
+/// Some triangles of one page, and the part of it that they need.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Piece {
+    pub(super) page: u32,
+    pub(super) crop: TexelRect,
+    pub(super) triangles: Vec<PieceTriangle>,
+}
+
+/// A piece that a message can hold: its digest, and what was built of it unless it is known.
+pub(super) type CutPiece<T> = (Digest, Option<T>);
+
+/// Makes what a message needs of a piece; `None` when that is too long.
+pub(super) type Build<'a, T> =
+    dyn Fn(&Piece, &TexturePage) -> Result<Option<T>, PublishError> + Sync + 'a;
+
+/// Pieces that were found too large, so that they need not be built again.
+#[derive(Clone, Debug, Default)]
+pub(super) struct TooLarge(BTreeSet<Digest>);
+
+impl PieceTriangle {
+    /// Where its centre lies on the page.
+    fn center_texel(&self) -> [f32; 2] {
+        let [a, b, c] = self.corners_texel;
+        [0, 1].map(|axis| (a[axis] + b[axis] + c[axis]) / 3.0)
+    }
+
+    /// Four of its shape.
+    fn quarters(&self) -> [Self; 4] {
+        let [a, b, c] = [0, 1, 2].map(|i| (self.corners_m[i], self.corners_texel[i]));
+        let middle = |p: ([f64; 3], [f32; 2]), q: ([f64; 3], [f32; 2])| {
+            (
+                [0, 1, 2].map(|i| p.0[i] * 0.5 + q.0[i] * 0.5),
+                [0, 1].map(|i| p.1[i] * 0.5 + q.1[i] * 0.5),
+            )
+        };
+        let [ab, bc, ca] = [middle(a, b), middle(b, c), middle(c, a)];
+        [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]].map(|corners| Self {
+            corners_m: corners.map(|(m, _)| m),
+            corners_texel: corners.map(|(_, texel)| texel),
+        })
+    }
+}
+
+impl Piece {
+    fn new(page_index: u32, page: &TexturePage, triangles: Vec<PieceTriangle>) -> Self {
+        Self {
+            page: page_index,
+            crop: needed_texels(page, &triangles),
+            triangles,
+        }
+    }
+
+    /// The corners of a triangle in [0, 1] of the crop, v down.
+    #[expect(
+        clippy::cast_possible_truncation,
+        reason = "rounding to f32 is what the messages have"
+    )]
+    pub(super) fn corners_uv(&self, triangle: &PieceTriangle) -> [[f32; 2]; 3] {
+        let TexelRect {
+            x,
+            y,
+            width,
+            height,
+        } = self.crop;
+        triangle.corners_texel.map(|[u, v]| {
+            [
+                ((f64::from(u) - f64::from(x)) / f64::from(width)) as f32,
+                ((f64::from(v) - f64::from(y)) / f64::from(height)) as f32,
+            ]
+        })
+    }
+
+    fn digest(&self, page: &TexturePage) -> Digest {
+        let mut digester = Digester::new();
+        let crop = &self.crop;
+        for number in [self.page, crop.x, crop.y, crop.width, crop.height] {
+            digester.number(number.into());
+        }
+        digester.number(self.triangles.len() as u64);
+        for triangle in &self.triangles {
+            for coordinate in triangle.corners_m.as_flattened() {
+                digester.number(coordinate.to_bits());
+            }
+            for coordinate in triangle.corners_texel.as_flattened() {
+                digester.number(coordinate.to_bits().into());
+            }
+        }
+        for row in crop::rows(page, crop) {
+            digester.bytes(row.as_flattened());
+        }
+        digester.finish()
+    }
+}
+
+/// The texels that the triangles touch and a margin around them.
+fn needed_texels(page: &TexturePage, triangles: &[PieceTriangle]) -> TexelRect {
+    let corners = || triangles.iter().flat_map(|t| t.corners_texel);
+    let [(x, width), (y, height)] = [(0, page.width), (1, page.height)].map(|(axis, side)| {
+        let low = corners().map(|c| c[axis]).fold(f32::INFINITY, f32::min);
+        let high = corners().map(|c| c[axis]).fold(f32::NEG_INFINITY, f32::max);
+        let first = whole(low.floor())
+            .saturating_sub(MARGIN_TEXEL)
+            .min(side - 1);
+        let end = whole(high.ceil()).saturating_add(MARGIN_TEXEL).min(side);
+        (first, end.saturating_sub(first).max(1))
+    });
+    TexelRect {
+        x,
+        y,
+        width,
+        height,
+    }
+}
+
+#[expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "the cast saturates, and corners lie on the page"
+)]
+fn whole(coordinate: f32) -> u32 {
+    coordinate as u32
+}
+
+/// A square of a page and the triangles in it.
+struct Node {
+    page: u32,
+    square: Square,
+    triangles: Vec<PieceTriangle>,
+}
+
+#[derive(Clone, Copy)]
+struct Square {
+    x: f32,
+    y: f32,
+    side: f32,
+}
+
+impl Square {
+    fn quadrant_of(&self, [x, y]: [f32; 2]) -> usize {
+        let half = self.side * 0.5;
+        usize::from(x >= self.x + half) + 2 * usize::from(y >= self.y + half)
+    }
+
+    fn quadrant(&self, index: usize) -> Self {
+        let side = self.side * 0.5;
+        let offset = |bit: usize| if index & bit == 0 { 0.0 } else { side };
+        Self {
+            x: self.x + offset(1),
+            y: self.y + offset(2),
+            side,
+        }
+    }
+}
+
+enum Judged<T> {
+    Piece(CutPiece<T>),
+    TooLarge(Digest, Node),
+    /// So much too large that it was not tried.
+    FarTooLarge(Node),
+}
+
+/// Squares smaller than this are not divided; their triangles are, by number.
+const SMALLEST_SQUARE_TEXEL: f32 = 0.25;
+
+/// Cuts the mesh into pieces for which `build` gives something. Of pieces that `is_known` nothing is
+/// built. The order depends on the input only.
+///
+/// # Errors
+/// What `build` fails with, and [`PublishError::DoesNotFit`] when a small triangle does not fit.
+pub(super) fn cut<T: Send>(
+    textured: &TexturedMesh<'_>,
+    params: &PublishParams,
+    too_large: &mut TooLarge,
+    is_known: &(dyn Fn(Digest) -> bool + Sync),
+    build: &Build<'_, T>,
+) -> Result<Vec<CutPiece<T>>, PublishError> {
+    let mut nodes = roots(textured);
+    let mut pieces = Vec::new();
+    let mut found_too_large = BTreeSet::new();
+    while !nodes.is_empty() {
+        let judged: Vec<Result<Judged<T>, PublishError>> = nodes
+            .into_par_iter()
+            .map(|node| judge(node, textured, params, too_large, is_known, build))
+            .collect();
+        nodes = Vec::new();
+        for result in judged {
+            match result? {
+                Judged::Piece(piece) => pieces.push(piece),
+                Judged::TooLarge(digest, node) => {
+                    found_too_large.insert(digest);
+                    divide(node, params, &mut nodes)?;
+                }
+                Judged::FarTooLarge(node) => divide(node, params, &mut nodes)?,
+            }
+        }
+    }
+    too_large.0 = found_too_large;
+    Ok(pieces)
+}
+
+fn roots(textured: &TexturedMesh<'_>) -> Vec<Node> {
+    let layout = textured.layout();
+    let [width, height] = layout.page_size_texel;
+    let square = Square {
+        x: 0.0,
+        y: 0.0,
+        side: width.max(height).next_power_of_two() as f32,
+    };
+    let mut roots: Vec<Node> = (0..layout.num_pages)
+        .map(|page| Node {
+            page,
+            square,
+            triangles: Vec::new(),
+        })
+        .collect();
+    for triangle in textured.mesh().triangle_ids() {
+        roots[layout.page_of(triangle) as usize]
+            .triangles
+            .push(PieceTriangle {
+                corners_m: textured.mesh().corners_m(triangle).map(Into::into),
+                corners_texel: layout.corners_texel[triangle.index()],
+            });
+    }
+    roots.retain(|root| !root.triangles.is_empty());
+    roots
+}
+
+/// Least bytes of a triangle in any message: three indices.
+const MIN_TRIANGLE_BYTES: usize = 6;
+/// Texels that a byte may stand for, at most, where encoding is worth a try.
+const MAX_TEXELS_PER_BYTE: usize = 8;
+
+fn judge<T>(
+    node: Node,
+    textured: &TexturedMesh<'_>,
+    params: &PublishParams,
+    too_large: &TooLarge,
+    is_known: &(dyn Fn(Digest) -> bool + Sync),
+    build: &Build<'_, T>,
+) -> Result<Judged<T>, PublishError> {
+    let page = &textured.texture().pages[node.page as usize];
+    let crop = needed_texels(page, &node.triangles);
+    let num_texels = crop.width as usize * crop.height as usize;
+    let least_bytes = node.triangles.len() * MIN_TRIANGLE_BYTES + num_texels / MAX_TEXELS_PER_BYTE;
+    if least_bytes > params.max_message_bytes {
+        return Ok(Judged::FarTooLarge(node));
+    }
+    let piece = Piece::new(node.page, page, node.triangles);
+    let digest = piece.digest(page);
+    if is_known(digest) {
+        return Ok(Judged::Piece((digest, None)));
+    }
+    if !too_large.0.contains(&digest)
+        && let Some(built) = build(&piece, page)?
+    {
+        return Ok(Judged::Piece((digest, Some(built))));
+    }
+    let node = Node {
+        page: piece.page,
+        square: node.square,
+        triangles: piece.triangles,
+    };
+    Ok(Judged::TooLarge(digest, node))
+}
+
+/// A triangle that needs no more texels than this on a side is not divided.
+const SMALL_TRIANGLE_TEXEL: f32 = 16.0;
+
+/// Appends the parts of a node.
+fn divide(node: Node, params: &PublishParams, nodes: &mut Vec<Node>) -> Result<(), PublishError> {
+    let Node {
+        page,
+        mut square,
+        triangles,
+    } = node;
+    if let [triangle] = triangles.as_slice() {
+        return divide_triangle(page, triangle, params, nodes);
+    }
+    while square.side >= SMALLEST_SQUARE_TEXEL {
+        let mut quadrants: [Vec<PieceTriangle>; 4] = Default::default();
+        for triangle in &triangles {
+            quadrants[square.quadrant_of(triangle.center_texel())].push(*triangle);
+        }
+        let whole = quadrants.iter().position(|q| q.len() == triangles.len());
+        if let Some(index) = whole {
+            // The same triangles in a smaller square are no smaller.
+            square = square.quadrant(index);
+            continue;
+        }
+        for (index, triangles) in quadrants.into_iter().enumerate() {
+            if !triangles.is_empty() {
+                nodes.push(Node {
+                    page,
+                    square: square.quadrant(index),
+                    triangles,
+                });
+            }
+        }
+        return Ok(());
+    }
+    for half in triangles.chunks(triangles.len().div_ceil(2)) {
+        nodes.push(Node {
+            page,
+            square,
+            triangles: half.to_vec(),
+        });
+    }
+    Ok(())
+}
+
+fn divide_triangle(
+    page: u32,
+    triangle: &PieceTriangle,
+    params: &PublishParams,
+    nodes: &mut Vec<Node>,
+) -> Result<(), PublishError> {
+    let extent = |axis: usize| {
+        let [a, b, c] = triangle.corners_texel.map(|corner| corner[axis]);
+        let low = a.min(b).min(c);
+        (low, a.max(b).max(c) - low)
+    };
+    let [(x, width), (y, height)] = [extent(0), extent(1)];
+    let side = width.max(height);
+    if side <= SMALL_TRIANGLE_TEXEL {
+        return Err(PublishError::DoesNotFit {
+            what: "a small triangle with its texels",
+            needed_bytes: params.max_message_bytes + 1,
+            max_message_bytes: params.max_message_bytes,
+        });
+    }
+    nodes.push(Node {
+        page,
+        square: Square { x, y, side },
+        triangles: triangle.quarters().to_vec(),
+    });
+    Ok(())
+}
+
+/// Vertices of a piece that triangles share.
+pub(super) struct Indexed {
+    /// Positions, metres; each place once.
+    pub(super) positions_m: Vec<[f64; 3]>,
+    /// Indices into them.
+    pub(super) triangles: Vec<[u32; 3]>,
+}
+
+impl Piece {
+    /// Its triangles over shared vertices, in the order of first appearance.
+    #[expect(
+        clippy::cast_possible_truncation,
+        reason = "a piece has fewer vertices than a message has bytes"
+    )]
+    pub(super) fn indexed(&self) -> Indexed {
+        let mut vertices = std::collections::BTreeMap::new();
+        let mut positions_m = Vec::new();
+        let triangles = self
+            .triangles
+            .iter()
+            .map(|triangle| {
+                triangle.corners_m.map(|position_m| {
+                    *vertices
+                        .entry(position_m.map(f64::to_bits))
+                        .or_insert_with(|| {
+                            positions_m.push(position_m);
+                            positions_m.len() as u32 - 1
+                        })
+                })
+            })
+            .collect();
+        Indexed {
+            positions_m,
+            triangles,
+        }
+    }
+
+    /// Its texture as an image file.
+    pub(super) fn encode_texture(
+        &self,
+        page: &TexturePage,
+        format: crate::export::PageFormat,
+    ) -> Result<Vec<u8>, ExportError> {
+        crop::encode(self.page as usize, page, &self.crop, format)
+    }
+}
