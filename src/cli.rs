@@ -18,7 +18,10 @@ use std::process::ExitCode;
 use clap::builder::RangedI64ValueParser;
 use clap::{Parser, Subcommand};
 
-use crate::ros::RosArgs;
+use tracing_subscriber::layer::SubscriberExt;
+use tracing_subscriber::util::SubscriberInitExt;
+
+use crate::ros::{RosArgs, rosout};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -133,15 +136,17 @@ fn run(cli: &Cli, ros_args: Option<&RosArgs>) -> anyhow::Result<()> {
     };
     let filter = tracing_subscriber::EnvFilter::try_new(&level)
         .map_err(|e| Usage(format!("--log-level '{level}': {e}")))?;
-    tracing_subscriber::fmt()
-        .with_env_filter(filter)
-        .with_writer(std::io::stderr)
+    let (rosout, log_lines) = is_node.then(rosout::layer).unzip();
+    tracing_subscriber::registry()
+        .with(filter)
+        .with(tracing_subscriber::fmt::layer().with_writer(std::io::stderr))
+        .with(rosout)
         .init();
     rayon::ThreadPoolBuilder::new()
         .num_threads(cli.threads.into())
         .build_global()?;
     match &cli.command {
-        Command::Node(args) => node::run(args, ros_args),
+        Command::Node(args) => node::run(args, ros_args, log_lines),
         Command::Replay(args) => replay::run(args, cli.quiet),
         Command::Bake(args) => bake::run(args, cli.quiet),
         Command::Eval(args) => eval::run(args, cli.quiet),

@@ -30,10 +30,12 @@ pub mod output;
 pub mod pacer;
 pub mod parameters;
 mod receive;
+pub mod rosout;
 mod service_types;
 mod services;
 pub mod socket_buffer;
 pub mod source;
+mod status;
 pub mod transport;
 
 pub use args::{ArgsError, RosArgs};

@@ -7,6 +7,7 @@ use clap::Args;
 
 use super::Usage;
 use crate::config::{Config, ParameterError, params_file};
+use crate::ros::rosout::LogLines;
 use crate::ros::{Network, NodeSetup, RosArgs, node};
 
 /// What the node calls itself unless it is remapped.
@@ -48,7 +49,11 @@ pub(super) fn log_filter(ros_args: Option<&RosArgs>) -> String {
     filter
 }
 
-pub(super) fn run(args: &NodeArgs, ros_args: Option<&RosArgs>) -> anyhow::Result<()> {
+pub(super) fn run(
+    args: &NodeArgs,
+    ros_args: Option<&RosArgs>,
+    log_lines: Option<LogLines>,
+) -> anyhow::Result<()> {
     let default = RosArgs::default();
     let ros_args = ros_args.unwrap_or(&default);
     let usage = |error: &dyn std::fmt::Display| Usage(error.to_string());
@@ -88,7 +93,7 @@ pub(super) fn run(args: &NodeArgs, ros_args: Option<&RosArgs>) -> anyhow::Result
         config,
         names,
         network,
-        has_rosout: ros_args.has_rosout,
+        log_lines: log_lines.filter(|_| ros_args.has_rosout),
     };
     node::run(&setup, &stop)?;
     Ok(())

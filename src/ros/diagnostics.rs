@@ -10,7 +10,8 @@ use crate::config::Transport;
 use crate::geom::Stamp;
 use crate::ingest::{IngestReport, PoseSource};
 use crate::pipeline::Capture;
-use crate::wire::{CdrWriter, TopicRole};
+use crate::wire::diagnostic_array::{self, DiagnosticStatus};
+use crate::wire::{DiagnosticArray, Message, TopicRole, WireHeader};
 
 use super::engine::PaintStatus;
 use super::inbox::TopicCounts;
@@ -39,9 +40,9 @@ pub(super) enum Level {
 impl Level {
     fn byte(self) -> u8 {
         match self {
-            Self::Ok => 0,
-            Self::Warn => 1,
-            Self::Error => 2,
+            Self::Ok => diagnostic_array::OK,
+            Self::Warn => diagnostic_array::WARN,
+            Self::Error => diagnostic_array::ERROR,
         }
     }
 }
@@ -90,7 +91,7 @@ pub(super) struct Observation<'a> {
     pub(super) transports: [Transport; 2],
     pub(super) memory_bytes: u64,
     pub(super) socket_remedy: Option<&'a str>,
-    /// Which topic each role's remapping is for.
+    /// Bytes that wait to be decoded.
     pub(super) queue_bytes: usize,
 }
 
@@ -435,29 +436,32 @@ fn process(seen: &Observation<'_>) -> Finding {
     finding("process", Vec::new(), format!("{megabytes:.0} MB resident"), values)
 }
 
-/// `diagnostic_msgs/msg/DiagnosticArray`.
-pub(super) const DIAGNOSTICS_TYPE: &str = "diagnostic_msgs/msg/DiagnosticArray";
-
 /// The findings of `node`, serialised.
 pub(super) fn message(stamp: Stamp, node: &str, findings: &[Finding]) -> Vec<u8> {
-    let mut writer = CdrWriter::little_endian();
-    let (sec, nanosec) = stamp.to_ros();
-    writer.scalar(sec);
-    writer.scalar(nanosec);
-    writer.string("");
-    writer.sequence_len(findings.len());
-    for finding in findings {
-        writer.scalar(finding.level.byte());
-        writer.string(&format!("{node}: {}", finding.part));
-        writer.string(&finding.message);
-        writer.string("veneer");
-        writer.sequence_len(finding.values.len());
-        for (key, value) in &finding.values {
-            writer.string(key);
-            writer.string(value);
-        }
-    }
-    writer.into_bytes()
+    let names: Vec<String> = findings
+        .iter()
+        .map(|finding| format!("{node}: {}", finding.part))
+        .collect();
+    let status = findings
+        .iter()
+        .zip(&names)
+        .map(|(finding, name)| DiagnosticStatus {
+            level: finding.level.byte(),
+            name,
+            message: &finding.message,
+            hardware_id: "veneer",
+            values: finding
+                .values
+                .iter()
+                .map(|(key, value)| (key.as_str(), value.as_str()))
+                .collect(),
+        })
+        .collect();
+    let header = WireHeader {
+        stamp,
+        frame_id: "",
+    };
+    DiagnosticArray { header, status }.encode()
 }
 
 #[cfg(test)]
@@ -580,12 +584,10 @@ mod tests {
             values: vec![value("a", 1)],
         };
         let bytes = message(Stamp::from_nanos(5), "/veneer", &[finding]);
-        let mut reader = crate::wire::CdrReader::new("diagnostics", &bytes).unwrap();
-        reader.array::<u32, 2>("stamp").unwrap();
-        assert_eq!(reader.string("frame").unwrap(), "");
-        assert_eq!(reader.sequence_len("status", 1).unwrap(), 1);
-        assert_eq!(reader.scalar::<u8>("level").unwrap(), 1);
-        assert_eq!(reader.string("name").unwrap(), "/veneer: inputs");
-        assert_eq!(reader.string("message").unwrap(), "x");
+        let array = DiagnosticArray::decode(&bytes).unwrap();
+        assert_eq!(array.status.len(), 1);
+        let status = &array.status[0];
+        assert_eq!((status.level, status.name), (1, "/veneer: inputs"));
+        assert_eq!((status.message, &status.values[..]), ("x", &[("a", "1")][..]));
     }
 }

@@ -8,6 +8,7 @@ use ros2_client::Context;
 use rustdds::bytes::Bytes;
 
 use crate::wire::event::MessageType;
+use crate::wire::{DiagnosticArray, Message, Status};
 
 use super::clock::RosClock;
 use super::control::Control;
@@ -18,20 +19,21 @@ use super::inbox::TopicCounts;
 use super::inputs::{Input, Offer};
 use super::names::NameResolver;
 use super::output::OutputState;
+use super::status;
 use super::transport::{RawWriter, TopicQos, Written};
 
 /// What the watcher of the graph leaves for the monitor.
 #[derive(Debug, Default)]
 pub(super) struct GraphView {
-    state: Mutex<(Vec<Offer>, Vec<String>, Vec<usize>)>,
+    state: Mutex<(Vec<Offer>, Vec<String>)>,
 }
 
 impl GraphView {
-    pub(super) fn set(&self, offers: Vec<Offer>, complaints: Vec<String>, chosen: Vec<usize>) {
-        *self.state.lock().unwrap_or_else(PoisonError::into_inner) = (offers, complaints, chosen);
+    pub(super) fn set(&self, offers: Vec<Offer>, complaints: Vec<String>) {
+        *self.state.lock().unwrap_or_else(PoisonError::into_inner) = (offers, complaints);
     }
 
-    fn get(&self) -> (Vec<Offer>, Vec<String>, Vec<usize>) {
+    fn get(&self) -> (Vec<Offer>, Vec<String>) {
         let state = self.state.lock();
         state.unwrap_or_else(PoisonError::into_inner).clone()
     }
@@ -47,6 +49,7 @@ pub(super) struct Monitor {
     socket_remedy: Option<String>,
     node_name: String,
     diagnostics: RawWriter,
+    status: RawWriter,
     previous: Vec<TopicCounts>,
     previous_at: Instant,
     told: BTreeMap<&'static str, String>,
@@ -75,8 +78,11 @@ impl Monitor {
             is_latched: false,
             depth: 10,
         };
-        let diagnostics = RawWriter::new(context, &topic, diagnostics::DIAGNOSTICS_TYPE, qos)?;
+        let diagnostics = RawWriter::new(context, &topic, DiagnosticArray::TYPE_NAME, qos)?;
         entities.add_writer(diagnostics.gid());
+        let topic = names.resolve("~/status")?;
+        let status = RawWriter::new(context, &topic, Status::TYPE_NAME, qos)?;
+        entities.add_writer(status.gid());
         let Watched {
             control,
             output,
@@ -94,6 +100,7 @@ impl Monitor {
             socket_remedy,
             node_name: names.node().fully_qualified(),
             diagnostics,
+            status,
             previous: Vec::new(),
             previous_at: Instant::now(),
             told: BTreeMap::new(),
@@ -110,14 +117,15 @@ impl Monitor {
     }
 
     fn tell(&mut self) {
-        let findings = self.look();
+        let (findings, status) = self.look();
         for finding in &findings {
             self.log(finding);
         }
-        let stamp = self.clock.now();
-        let message = diagnostics::message(stamp, &self.node_name, &findings);
-        if let Written::Failed(reason) = self.diagnostics.write(Bytes::from(message)) {
-            tracing::debug!("diagnostics were not sent: {reason}");
+        let message = diagnostics::message(self.clock.now(), &self.node_name, &findings);
+        for (writer, message) in [(&self.diagnostics, message), (&self.status, status)] {
+            if let Written::Failed(reason) = writer.write(Bytes::from(message)) {
+                tracing::debug!("diagnostics or status were not sent: {reason}");
+            }
         }
     }
 
@@ -140,10 +148,11 @@ impl Monitor {
         }
     }
 
-    fn look(&mut self) -> Vec<Finding> {
+    /// What is wrong, and the serialised status.
+    fn look(&mut self) -> (Vec<Finding>, Vec<u8>) {
         let shared = &self.control.shared;
         let config = shared.config();
-        let (offers, complaints, chosen) = self.graph.get();
+        let (offers, complaints) = self.graph.get();
         let counts = shared.inbox.counts();
         let ages = shared.inbox.ages();
         let now = Instant::now();
@@ -171,25 +180,30 @@ impl Monitor {
             })
             .collect();
         let capture = shared.view();
-        let findings = diagnostics::findings(&Observation {
+        let paint = shared.paint_status();
+        let outputs = self.output.counts();
+        let seen = Observation {
             state: self.control.state(),
             is_paused: self.control.is_paused(),
             now: self.clock.is_running().then(|| self.clock.now()),
             inputs,
             complaints: &complaints,
             capture: capture.as_ref(),
-            paint: &shared.paint_status(),
+            paint: &paint,
             num_captures_replaced: shared.num_captures_replaced(),
-            outputs: &self.output.counts(),
+            outputs: &outputs,
             pose_source: config.pipeline.ingest.pose_source,
             transports: [config.node.image_transport, config.node.depth_transport],
             memory_bytes: resident_bytes().unwrap_or(0),
             socket_remedy: self.socket_remedy.as_deref(),
             queue_bytes: shared.inbox.num_bytes(),
-        });
+        };
+        let findings = diagnostics::findings(&seen);
+        let last = shared.last_painted();
+        let status = status::message(self.clock.now(), &seen, last.as_deref());
         self.previous = counts;
         self.previous_at = now;
-        findings
+        (findings, status)
     }
 }
 

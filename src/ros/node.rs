@@ -3,12 +3,15 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use rustdds::bytes::Bytes;
 use ros2_client::{Context, Node, NodeName, NodeOptions};
 use smol::LocalExecutor;
 use smol::channel::Receiver as Stop;
 
 use crate::config::Config;
 use crate::publish::PublishParams;
+use crate::wire::Message;
+use crate::wire::log::Log;
 
 use super::clock::RosClock;
 use super::control::Control;
@@ -23,7 +26,9 @@ use super::monitor::{GraphView, Monitor, Watched};
 use super::names::NameResolver;
 use super::output::{OutputParams, OutputState, Outputs};
 use super::receive::Receiving;
+use super::rosout::LogLines;
 use super::services::Services;
+use super::transport::{RawWriter, TopicQos};
 use super::{socket_buffer, transport};
 
 /// How often the graph is looked at.
@@ -40,8 +45,8 @@ pub struct NodeSetup {
     pub names: NameResolver,
     /// Whom it can hear.
     pub network: Network,
-    /// Whether its log goes to `/rosout`.
-    pub has_rosout: bool,
+    /// What goes to `/rosout`; `None`: nothing.
+    pub log_lines: Option<LogLines>,
 }
 
 /// Runs the node until a word comes on `stop`.
@@ -152,6 +157,10 @@ impl Running {
         };
         let monitor = Monitor::new(&self.context, &setup.names, &self.entities, watched)?;
         let monitoring = executor.spawn(monitor.run());
+        let logging = match &setup.log_lines {
+            Some(lines) => Some(executor.spawn(self.log(setup, lines.clone())?)),
+            None => None,
+        };
         if setup.config.node.autostart {
             self.control.change(Transition::Configure);
             self.control.change(Transition::Activate);
@@ -170,9 +179,36 @@ impl Running {
             };
             futures::future::select(Box::pin(stopped), Box::pin(watcher.run())).await;
         }));
-        drop((spinning, monitoring, executor));
+        drop((spinning, monitoring, logging, executor));
         self.stop(setup);
         Ok(())
+    }
+
+    /// Publishes what is said, without end.
+    fn log(
+        &self,
+        setup: &NodeSetup,
+        lines: LogLines,
+    ) -> Result<impl Future<Output = ()> + 'static, NodeError> {
+        let topic = setup.names.resolve("/rosout")?;
+        // As rclcpp's: late joiners get the last thousand lines.
+        let qos = TopicQos {
+            is_reliable: true,
+            is_latched: true,
+            depth: 1000,
+        };
+        let writer = RawWriter::new(&self.context, &topic, Log::TYPE_NAME, qos)?;
+        self.entities.add_writer(writer.gid());
+        let name = setup.names.node().fully_qualified();
+        let name = name.trim_start_matches('/').replace('/', ".");
+        let clock = Arc::clone(&self.clock);
+        Ok(async move {
+            while let Some(line) = lines.next().await {
+                let message = line.message(clock.now(), &name).encode();
+                // What goes wrong with the log cannot go to the log.
+                drop(writer.write(Bytes::from(message)));
+            }
+        })
     }
 
     fn stop(self, setup: &NodeSetup) {
@@ -210,9 +246,10 @@ fn make_node(setup: &NodeSetup) -> Result<(Context, Node), NodeError> {
     let identity = setup.names.node();
     let name = NodeName::new(identity.namespace(), identity.base_name())
         .map_err(|e| NodeError::dds("the node's name", &e))?;
-    // The library's own parameter services know neither ranges nor descriptions.
+    // The library's own parameter services know neither ranges nor descriptions, and its log
+    // would come back to ours.
     let options = NodeOptions::new()
-        .enable_rosout(setup.has_rosout)
+        .enable_rosout(false)
         .start_parameter_services(false);
     let node = context
         .new_node(name, options)
@@ -259,8 +296,7 @@ impl GraphWatcher<'_> {
                 sent_at = Some(Instant::now());
             }
             let complaints = inputs::complaints(self.inputs, &chooser, &offers);
-            let chosen = chooser.chosen().map(|choice| choice.input).collect();
-            self.view.set(offers, complaints, chosen);
+            self.view.set(offers, complaints);
             smol::Timer::after(LOOK_PERIOD).await;
         }
     }
