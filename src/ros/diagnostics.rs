@@ -66,6 +66,8 @@ pub(super) struct InputObservation<'a> {
     /// Whether it is subscribed to.
     /// Publishers of a type that can be read.
     pub(super) num_publishers: usize,
+    /// For how long there has been one of any type.
+    pub(super) published_for: Option<Duration>,
     pub(super) counts: TopicCounts,
     /// Messages a second over the last period.
     pub(super) rate_hz: f64,
@@ -240,6 +242,10 @@ fn input_problem(
         let words = format!("no {what}: nobody publishes {topics}; start the publisher or remap");
         return needed.then_some((Level::Error, words));
     }
+    let published_for = members.iter().filter_map(|m| m.published_for).max();
+    if !is_heard && published_for.is_none_or(|time| time < SILENT) {
+        return None;
+    }
     if !is_heard {
         let words = format!(
             "{what}: {topics} has a publisher but nothing arrives; see 'network', and check that the publisher runs"
@@ -358,6 +364,7 @@ fn keyframes(capture: &Capture) -> Finding {
         value("replaced", store.num_replaced),
         value("evicted", store.num_evicted),
         value("pending", capture.num_pending),
+        value("revision", capture.revision),
     ];
     for (reason, num) in &store.rejected_by_reason {
         values.push(value(format!("rejected: {reason}"), num));
@@ -379,7 +386,7 @@ fn painting(seen: &Observation<'_>) -> Finding {
         value("charts", paint.num_charts),
         value("pages", paint.num_pages),
         value("coverage", format!("{:.3}", paint.coverage)),
-        value("revision", paint.revision),
+        value("revision painted", paint.revision),
         value("is painting", paint.is_painting),
     ];
     for (name, stage) in &paint.stages {
@@ -482,6 +489,7 @@ mod tests {
             .map(|input| InputObservation {
                 input,
                 num_publishers: 0,
+                published_for: None,
                 counts: TopicCounts::default(),
                 rate_hz: 0.0,
                 age: None,

@@ -1,6 +1,6 @@
 //! Who publishes and who listens, as DDS discovery has it, and what we tell others of ourselves.
 
-use std::collections::BTreeSet;
+use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};
 
 use ros2_client::Context;
@@ -32,16 +32,30 @@ pub(super) fn offers(context: &Context) -> Vec<Offer> {
     offers
 }
 
-/// Everyone who listens to a topic.
-pub(super) fn readers(context: &Context, topic: &str) -> BTreeSet<GUID> {
+/// Everyone who listens to a topic, and whether it asks for what was published before it came.
+pub(super) fn readers(context: &Context, topic: &str) -> BTreeMap<GUID, bool> {
     let name = dds_topic_name(topic);
     let participant = context.domain_participant();
     let readers = participant.discovered_readers();
     readers
         .iter()
         .filter(|data| *data.subscription_topic_data.topic_name() == name)
-        .map(|data| data.subscription_topic_data.key())
+        .map(|data| {
+            let reader = &data.subscription_topic_data;
+            let durability = reader.qos().durability();
+            let is_latched = durability.is_some_and(|d| d != Durability::Volatile);
+            (reader.key(), is_latched)
+        })
         .collect()
+}
+
+/// Whether a participant, by the first bytes of its entities' ids, reads a topic by DDS' name.
+pub(super) fn is_read_by(context: &Context, dds_topic: &str, participant: &[u8]) -> bool {
+    let readers = context.domain_participant().discovered_readers();
+    readers.iter().any(|data| {
+        let topic = &data.subscription_topic_data;
+        topic.topic_name() == dds_topic && topic.key().to_bytes().starts_with(participant)
+    })
 }
 
 /// Tells ROS' tools which of the participant's readers and writers are the node's.

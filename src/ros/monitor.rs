@@ -52,7 +52,11 @@ pub(super) struct Monitor {
     status: RawWriter,
     previous: Vec<TopicCounts>,
     previous_at: Instant,
+    /// By part: what was seen last, and what the log has.
+    seen: BTreeMap<&'static str, String>,
     told: BTreeMap<&'static str, String>,
+    /// Since when a topic has publishers.
+    published_since: BTreeMap<String, Instant>,
 }
 
 /// What a [`Monitor`] looks at.
@@ -103,7 +107,9 @@ impl Monitor {
             status,
             previous: Vec::new(),
             previous_at: Instant::now(),
+            seen: BTreeMap::new(),
             told: BTreeMap::new(),
+            published_since: BTreeMap::new(),
         })
     }
 
@@ -129,14 +135,16 @@ impl Monitor {
         }
     }
 
-    /// The log has a problem once, not every second; numbers in it may change.
+    /// The log has a problem once, not every second, and only when it was there twice in a row;
+    /// numbers in it may change.
     fn log(&mut self, finding: &Finding) {
         let class: String = finding
             .message
             .chars()
             .filter(|c| !c.is_ascii_digit())
             .collect();
-        if self.told.get(finding.part) == Some(&class) {
+        let before = self.seen.insert(finding.part, class.clone());
+        if before.as_ref() != Some(&class) || self.told.get(finding.part) == Some(&class) {
             return;
         }
         let was_told = self.told.insert(finding.part, class).is_some();
@@ -148,15 +156,31 @@ impl Monitor {
         }
     }
 
+    /// For how long each input has had publishers.
+    fn published_since(&mut self, offers: &[Offer]) -> Vec<Option<Duration>> {
+        let is_offered = |topic: &String| offers.iter().any(|offer| offer.topic == *topic);
+        self.published_since.retain(|topic, _| is_offered(topic));
+        let mut ages = Vec::new();
+        for input in &self.inputs {
+            ages.push(is_offered(&input.topic).then(|| {
+                let since = self.published_since.entry(input.topic.clone());
+                since.or_insert_with(Instant::now).elapsed()
+            }));
+        }
+        ages
+    }
+
     /// What is wrong, and the serialised status.
     fn look(&mut self) -> (Vec<Finding>, Vec<u8>) {
-        let shared = &self.control.shared;
+        let control = Arc::clone(&self.control);
+        let shared = &control.shared;
         let config = shared.config();
         let (offers, complaints) = self.graph.get();
         let counts = shared.inbox.counts();
         let ages = shared.inbox.ages();
         let now = Instant::now();
         let elapsed_s = now.saturating_duration_since(self.previous_at).as_secs_f64();
+        let published_since = self.published_since(&offers);
         let inputs = self
             .inputs
             .iter()
@@ -172,6 +196,7 @@ impl Monitor {
                 InputObservation {
                     input,
                     num_publishers: offers.iter().filter(readable).count(),
+                    published_for: published_since.get(at).copied().flatten(),
                     rate_hz: num_new as f64 / elapsed_s.max(1e-3),
                     age: *age,
                     num_new_drops: num_drops(counts) - num_drops(&before),
@@ -183,8 +208,8 @@ impl Monitor {
         let paint = shared.paint_status();
         let outputs = self.output.counts();
         let seen = Observation {
-            state: self.control.state(),
-            is_paused: self.control.is_paused(),
+            state: control.state(),
+            is_paused: control.is_paused(),
             now: self.clock.is_running().then(|| self.clock.now()),
             inputs,
             complaints: &complaints,

@@ -8,9 +8,10 @@
 //! reads, or when its lease ends.
 //!
 //! Late joiners get the window by `transient_local`: [`Publisher`] sees to it that it holds a whole
-//! state. Where even the whole is longer than the window, it is published again for them.
+//! state. Those who do not ask for what was before (rviz2 does not) get the whole published again.
+//! Where even the whole is longer than the window, it is published again for them.
 
-use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::collections::{BTreeMap, VecDeque};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
@@ -31,6 +32,9 @@ use super::transport::{RawWriter, TopicQos, Written};
 
 /// How often readers are looked for.
 const LOOK_PERIOD: Duration = Duration::from_millis(100);
+/// Time in which a reader that we have found has found us: what is sent before is lost on it,
+/// unless it asks for what was before.
+const MATCH_TIME: Duration = Duration::from_millis(700);
 /// How long a topic whose window is full is left alone.
 const WINDOW_RETRY: Duration = Duration::from_millis(20);
 /// How long this thread works before it looks at what is new.
@@ -65,10 +69,12 @@ struct Output {
     writer: RawWriter,
     publisher: Publisher,
     pending: VecDeque<Bytes>,
-    readers: BTreeSet<GUID>,
+    readers: BTreeMap<GUID, bool>,
     /// The revision whose messages were made last.
     made: Option<u64>,
     needs_whole: bool,
+    /// When a reader that came late, and does not ask for what was before, will have found us.
+    whole_at: Option<Instant>,
     retry_at: Option<Instant>,
     counts: OutputCounts,
 }
@@ -162,9 +168,10 @@ impl Outputs {
                 writer,
                 publisher: Publisher::new(params.publish),
                 pending: VecDeque::new(),
-                readers: BTreeSet::new(),
+                readers: BTreeMap::new(),
                 made: None,
                 needs_whole: false,
+                whole_at: None,
                 retry_at: None,
             });
         }
@@ -220,7 +227,12 @@ impl Outputs {
     fn look_for_readers(&mut self) {
         for output in &mut self.outputs {
             let readers = graph::readers(&self.context, &output.name);
-            let has_new = readers.iter().any(|reader| !output.readers.contains(reader));
+            let is_new = |reader: &GUID| !output.readers.contains_key(reader);
+            let has_new = readers.keys().any(is_new);
+            let has_new_volatile = readers.iter().any(|(r, is_latched)| !is_latched && is_new(r));
+            if has_new_volatile && output.whole_at.is_none() {
+                output.whole_at = Some(Instant::now() + MATCH_TIME);
+            }
             // What late joiners need may have left the window.
             let num_messages = output.publisher.num_messages_since_whole(output.topic);
             output.needs_whole |= has_new && num_messages > self.params.depth;
@@ -245,6 +257,12 @@ impl Outputs {
             keyframes: &painted.textured.keyframes,
         };
         for output in &mut self.outputs {
+            match output.whole_at {
+                Some(at) if Instant::now() < at => continue,
+                Some(_) => output.needs_whole = true,
+                None => {}
+            }
+            output.whole_at = None;
             let is_due = output.made != Some(revision) || output.needs_whole;
             if output.readers.is_empty() || !output.pending.is_empty() || !is_due {
                 continue;

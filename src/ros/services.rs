@@ -2,7 +2,7 @@
 
 use std::future::Future;
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use ros2_client::builtin_interfaces::Time;
 use ros2_client::parameters::raw;
@@ -14,6 +14,7 @@ use smol::LocalExecutor;
 use super::clock::RosClock;
 use super::control::{Answer, Control};
 use super::error::NodeError;
+use super::graph;
 use super::lifecycle::{State, Transition};
 use super::names::NameResolver;
 use super::parameters;
@@ -26,6 +27,12 @@ use super::service_types::{
 const QUEUE_SIZE: usize = 10;
 /// Rest after a request that could not be read: a peer that sends nothing else gets no more.
 const REST: Duration = Duration::from_millis(20);
+/// How long an answer waits for its client to be known.
+const CLIENT_WAIT: Duration = Duration::from_secs(1);
+/// How often that is looked at.
+const CLIENT_POLL: Duration = Duration::from_millis(10);
+/// The part of an entity's id that is its participant's.
+const GUID_PREFIX_BYTES: usize = 12;
 
 /// Makes servers at a node, and tasks that serve them.
 pub(super) struct Services<'a> {
@@ -100,6 +107,8 @@ impl<'a> Services<'a> {
     {
         let server = self.server::<Req, Resp>(name, package, type_name)?;
         let control = Arc::clone(&self.control);
+        let context = self.context.clone();
+        let replies = format!("rr{}Reply", self.names.resolve(&format!("~/{name}"))?);
         let task = async move {
             loop {
                 let (id, request) = match server.async_receive_request().await {
@@ -111,6 +120,7 @@ impl<'a> Services<'a> {
                     }
                 };
                 let response = answer(Arc::clone(&control), request).await;
+                wait_for_client(&context, &replies, id.writer_gid.to_bytes16()).await;
                 if let Err(error) = server.async_send_response(id, response).await {
                     tracing::warn!("~/{name}: the answer was not sent: {error}");
                 }
@@ -300,6 +310,22 @@ impl<'a> Services<'a> {
         self.node
             .create_publisher(&topic, None)
             .map_err(|e| NodeError::dds("/parameter_events", &e))
+    }
+}
+
+/// Waits until the client's own reader is known: a client may ask before it is, and an answer sent
+/// to nobody comes only with the next heartbeat, seconds later.
+async fn wait_for_client(context: &Context, replies: &str, client: [u8; 16]) {
+    let begun = Instant::now();
+    while begun.elapsed() < CLIENT_WAIT {
+        if graph::is_read_by(context, replies, &client[..GUID_PREFIX_BYTES]) {
+            // Discovery knows it now; the writer is told a moment later.
+            if begun.elapsed() > CLIENT_POLL {
+                smol::Timer::after(CLIENT_POLL).await;
+            }
+            return;
+        }
+        smol::Timer::after(CLIENT_POLL).await;
     }
 }
 

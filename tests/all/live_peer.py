@@ -3,7 +3,10 @@
 play BAG         publishes a bag's messages, byte for byte, at their pace; the mesh as shape_msgs/Mesh
 listen TOPIC=TYPE …  receives until stdin closes, then says how many and how large
 call SERVICE TYPE JSON  calls a service and prints its response
-params NODE …    lists, describes, gets and sets parameters
+set NODE NAME=VALUE …  sets parameters
+take TOPIC TYPE  prints messages
+publish TOPIC TYPE HEX …  sends bytes, whatever they hold
+graph NODE       what the graph shows of a node
 """
 
 import argparse
@@ -241,6 +244,32 @@ def call(args):
     say(response=to_dict(future.result()), seconds=time.monotonic() - begun)
 
 
+def set_parameters(args):
+    """Sets NAME=VALUE … one by one, in one request."""
+    from rcl_interfaces.msg import Parameter
+    from rcl_interfaces.srv import SetParameters
+    from rclpy.parameter import Parameter as Value
+
+    node = rclpy.create_node("setter")
+    client = node.create_client(SetParameters, f"{args.node}/set_parameters")
+    if not client.wait_for_service(timeout_sec=args.wait):
+        say(error="no such service")
+        return
+    request = SetParameters.Request()
+    for pair in args.pairs:
+        name, text = pair.split("=")
+        try:
+            value = json.loads(text)
+        except ValueError:
+            value = text
+        request.parameters.append(
+            Parameter(name=name, value=Value(name, value=value).get_parameter_value())
+        )
+    future = client.call_async(request)
+    rclpy.spin_until_future_complete(node, future, timeout_sec=args.wait)
+    say(results=[to_dict(result) for result in future.result().results])
+
+
 def take(args):
     """The next messages of a topic, as JSON."""
     node = rclpy.create_node("taker")
@@ -325,9 +354,21 @@ def main():
     one.add_argument("--namespace", default="/")
     one.add_argument("--wait", type=float, default=10.0)
     one.add_argument("--subscriptions", nargs="*", default=[])
+    one = commands.add_parser("set")
+    one.add_argument("node")
+    one.add_argument("pairs", nargs="+")
+    one.add_argument("--wait", type=float, default=10.0)
     args = parser.parse_args()
     rclpy.init()
-    globals()[args.command](args)
+    {
+        "play": play,
+        "listen": listen,
+        "call": call,
+        "take": take,
+        "publish": publish,
+        "graph": graph,
+        "set": set_parameters,
+    }[args.command](args)
     rclpy.try_shutdown()
 
 

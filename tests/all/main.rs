@@ -22,6 +22,7 @@ mod flatten_peers;
 mod import;
 mod interrupt;
 mod lens;
+mod live;
 mod mesh_types;
 mod metric_peers;
 mod mips;
