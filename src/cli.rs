@@ -5,19 +5,28 @@ mod eval;
 mod import;
 mod info;
 mod interrupt;
+mod node;
 mod params;
 mod progress;
 mod replay;
 mod settings;
 mod synth;
 
+use std::ffi::OsString;
 use std::process::ExitCode;
 
 use clap::builder::RangedI64ValueParser;
 use clap::{Parser, Subcommand};
 
+use tracing_subscriber::layer::SubscriberExt;
+use tracing_subscriber::util::SubscriberInitExt;
+
+use crate::ros::{RosArgs, rosout};
+
 const EXAMPLES: &str = "\
 Examples:
+  veneer node --ros-args -r mesh:=/nvblox_node/mesh
+                                         texture a scan while it is being made
   veneer replay scan.mcap --out out      texture a recording; open out/report.html
   veneer bake scan.mcap --out out        the same as well as can be, however long it takes
   veneer eval scan.mcap --out eval       how near its renderings are to photos kept back
@@ -39,9 +48,9 @@ struct Cli {
     #[arg(long, global = true, default_value_t = 0, value_name = "N", value_parser = num_threads())]
     threads: u16,
 
-    /// Log filter, as in `veneer=debug` (RUST_LOG syntax).
-    #[arg(long, global = true, default_value = "warn", value_name = "FILTER")]
-    log_level: String,
+    /// Log filter, as in `veneer=debug` (RUST_LOG syntax) [default: warn; node: info].
+    #[arg(long, global = true, value_name = "FILTER")]
+    log_level: Option<String>,
 
     #[command(subcommand)]
     command: Command,
@@ -49,6 +58,7 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    Node(node::NodeArgs),
     Replay(replay::ReplayArgs),
     Bake(bake::BakeArgs),
     Eval(eval::EvalArgs),
@@ -70,11 +80,18 @@ struct Usage(String);
 
 /// Runs the command line of this process.
 pub fn main() -> ExitCode {
-    let cli = match Cli::try_parse() {
+    let (ros_args, own) = match split_ros_args(std::env::args_os().collect()) {
+        Ok(split) => split,
+        Err(error) => {
+            print_error(&error.into());
+            return ExitCode::from(2);
+        }
+    };
+    let cli = match Cli::try_parse_from(own) {
         Ok(cli) => cli,
         Err(error) => return usage_exit(&error),
     };
-    match run(&cli) {
+    match run(&cli, ros_args.as_ref()) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             print_error(&error);
@@ -84,6 +101,22 @@ pub fn main() -> ExitCode {
     }
 }
 
+/// ROS' arguments stand among the others, in sections of their own; `None` where there is none.
+fn split_ros_args(args: Vec<OsString>) -> Result<(Option<RosArgs>, Vec<OsString>), Usage> {
+    if !args.iter().any(|arg| arg == "--ros-args") {
+        return Ok((None, args));
+    }
+    let words: Vec<String> = args
+        .into_iter()
+        .map(|arg| {
+            arg.into_string()
+                .map_err(|arg| Usage(format!("argument {} is not UTF-8", arg.display())))
+        })
+        .collect::<Result<_, _>>()?;
+    let (ros_args, own) = RosArgs::split(words).map_err(|error| Usage(error.to_string()))?;
+    Ok((Some(ros_args), own.into_iter().map(OsString::from).collect()))
+}
+
 /// clap's own exit codes are the house's: 0 for help and version, 2 for wrong usage.
 fn usage_exit(error: &clap::Error) -> ExitCode {
     // Nothing is left to do where the terminal is gone.
@@ -91,17 +124,29 @@ fn usage_exit(error: &clap::Error) -> ExitCode {
     ExitCode::from(if error.use_stderr() { 2 } else { 0 })
 }
 
-fn run(cli: &Cli) -> anyhow::Result<()> {
-    let filter = tracing_subscriber::EnvFilter::try_new(&cli.log_level)
-        .map_err(|e| Usage(format!("--log-level '{}': {e}", cli.log_level)))?;
-    tracing_subscriber::fmt()
-        .with_env_filter(filter)
-        .with_writer(std::io::stderr)
+fn run(cli: &Cli, ros_args: Option<&RosArgs>) -> anyhow::Result<()> {
+    let is_node = matches!(cli.command, Command::Node(_));
+    if ros_args.is_some() && !is_node {
+        return Err(Usage("only `veneer node` takes --ros-args".to_owned()).into());
+    }
+    let level = match &cli.log_level {
+        Some(level) => level.clone(),
+        None if is_node => node::log_filter(ros_args),
+        None => "warn".to_owned(),
+    };
+    let filter = tracing_subscriber::EnvFilter::try_new(&level)
+        .map_err(|e| Usage(format!("--log-level '{level}': {e}")))?;
+    let (rosout, log_lines) = is_node.then(rosout::layer).unzip();
+    tracing_subscriber::registry()
+        .with(filter)
+        .with(tracing_subscriber::fmt::layer().with_writer(std::io::stderr))
+        .with(rosout)
         .init();
     rayon::ThreadPoolBuilder::new()
         .num_threads(cli.threads.into())
         .build_global()?;
     match &cli.command {
+        Command::Node(args) => node::run(args, ros_args, log_lines),
         Command::Replay(args) => replay::run(args, cli.quiet),
         Command::Bake(args) => bake::run(args, cli.quiet),
         Command::Eval(args) => eval::run(args, cli.quiet),

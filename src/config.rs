@@ -5,12 +5,14 @@
 //! reader ([`params_file`]), `--param NAME:=VALUE`, `veneer params` and `docs/parameters.md`. A
 //! name that no row has, or a value outside its range, is refused; nothing is repaired in silence.
 
+pub mod node;
 pub mod parameter;
 pub mod params_file;
 mod publish;
 mod smooth;
 pub mod tree;
 
+pub use node::{NodeParams, QosOverride, Transport};
 pub use parameter::{Parameter, ParameterError};
 
 use crate::bag::TopicRoles;
@@ -29,6 +31,8 @@ pub struct Config {
     pub export: ExportParams,
     /// How the result becomes messages.
     pub publish: PublishParams,
+    /// The live node.
+    pub node: NodeParams,
 }
 
 impl Config {
@@ -38,6 +42,9 @@ impl Config {
     /// [`ParameterError`] for an unknown name, with the nearest known one, and for a value of the
     /// wrong type or outside its range.
     pub fn set(&mut self, name: &str, value: &str) -> Result<(), ParameterError> {
+        if let Some(rest) = name.strip_prefix(node::QOS_PREFIX) {
+            return node::set_qos(self, rest, value);
+        }
         match tree::PARAMETERS.iter().find(|p| p.name == name) {
             Some(parameter) => parameter.set(self, value),
             None => Err(ParameterError::Unknown {

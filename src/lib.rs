@@ -42,6 +42,8 @@ pub mod pipeline;
 pub mod publish;
 pub mod render;
 pub mod report;
+#[cfg(feature = "ros")]
+pub mod ros;
 #[cfg(feature = "bag")]
 pub mod synth;
 pub mod texinit;

@@ -3,10 +3,11 @@
 //! [`gather()`] takes every event of a source: frames go to the keyframe store, the mesh replaces
 //! the one before it and is welded at the end of the stream. [`texture_scan()`] paints the mesh
 //! from some of the keyframes. [`run()`] does both, with some keyframes held back that are then
-//! compared with the rendering. The result depends on the events alone, not on time or threads.
+//! compared with the rendering. [`live`] does the same while the scan goes on. The result depends on the events alone, not on time or threads.
 
 mod clock;
 mod held_out;
+pub mod live;
 mod pose_noise;
 mod pose_rounds;
 pub mod progress;
@@ -17,6 +18,7 @@ pub mod texture;
 
 pub use clock::StageClock;
 pub use held_out::{HeldOutParams, HeldOutView};
+pub use live::{Capture, Latest, LiveScan, Painted, Painter};
 pub use pose_noise::with_pose_noise;
 pub use pose_rounds::PoseReport;
 pub use progress::{NoProgress, Progress};

@@ -195,6 +195,23 @@ impl ScanWriter {
         self.write("/tf_static", stamp, &transforms)
     }
 
+    /// Where the depth camera is at `stamp`, below the colour camera; for scans in which that
+    /// changes from frame to frame.
+    ///
+    /// # Errors
+    /// [`BagError`].
+    pub fn moving_depth_frame(
+        &mut self,
+        stamp: Stamp,
+        color_from_depth: &RigidTransform,
+    ) -> Result<(), BagError> {
+        self.has_depth_frame = true;
+        let topics = Arc::clone(&self.topics);
+        let (color, depth) = (&topics.color_frame, &topics.depth_frame);
+        let transforms = transform(stamp, color, depth, color_from_depth);
+        self.write("/tf", stamp, &transforms)
+    }
+
     /// The mesh, or a change of it, in the world frame. The first call settles the topic's type:
     /// after blocks, a whole mesh goes as the one block that replaces them all.
     ///

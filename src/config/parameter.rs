@@ -36,6 +36,9 @@ pub enum ParameterError {
     /// The file is not YAML of the shape that ROS uses.
     #[error("parameter file: {0}")]
     File(String),
+    /// The file is one, but for other nodes.
+    #[error("parameter file: {0}")]
+    NotAddressed(String),
 }
 
 fn suggestion(nearest: &Option<&'static str>) -> String {

@@ -1,7 +1,7 @@
 //! ROS 2 parameter files.
 //!
-//! `/NODE: { ros__parameters: { a: { b: 1 } } }`, with the wildcards `/*` and `/**` for the node's
-//! name. Nested maps and dotted names mean the same.
+//! `/NODE: { ros__parameters: { a: { b: 1 } } }`, where in the node's name `*` stands for one part
+//! and `**` for any number of them. Nested maps and dotted names mean the same.
 
 use serde_yaml_ng::Value;
 
@@ -33,15 +33,32 @@ pub fn apply(config: &mut Config, text: &str, node_name: &str) -> Result<(), Par
         }
     }
     if num_sections == 0 {
-        return Err(file(format!("no section addresses the node '{node_name}'")));
+        let reason = format!("no section addresses the node '{node_name}'");
+        return Err(ParameterError::NotAddressed(reason));
     }
     Ok(())
 }
 
+/// Matches name by name: `*` stands for one, `**` for any number.
 fn addresses(section: &str, node_name: &str) -> bool {
-    let bare = |name: &str| name.trim_start_matches('/').to_owned();
-    let depth = node_name.matches('/').count();
-    section == "/**" || (section == "/*" && depth == 1) || bare(section) == bare(node_name)
+    let tokens = |name: &str| -> Vec<String> {
+        let parts = name.split('/').filter(|part| !part.is_empty());
+        parts.map(str::to_owned).collect()
+    };
+    matches(&tokens(section), &tokens(node_name))
+}
+
+fn matches(pattern: &[String], name: &[String]) -> bool {
+    match (pattern.split_first(), name.split_first()) {
+        (None, None) => true,
+        (Some((first, rest)), _) if first == "**" => {
+            (0..=name.len()).any(|skipped| matches(rest, &name[skipped..]))
+        }
+        (Some((first, rest)), Some((token, names))) => {
+            (first == "*" || first == token) && matches(rest, names)
+        }
+        _ => false,
+    }
 }
 
 fn apply_tree(config: &mut Config, prefix: &str, value: &Value) -> Result<(), ParameterError> {
@@ -69,5 +86,30 @@ fn apply_tree(config: &mut Config, prefix: &str, value: &Value) -> Result<(), Pa
         Value::Sequence(_) | Value::Tagged(_) => Err(ParameterError::File(format!(
             "'{prefix}' is a list; no parameter of veneer is"
         ))),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn wildcards_stand_for_parts_of_the_name() {
+        for (section, node, expected) in [
+            ("/**", "/robot/veneer", true),
+            ("**", "/veneer", true),
+            ("/*", "/veneer", true),
+            ("/*", "/robot/veneer", false),
+            ("/*/veneer", "/robot/veneer", true),
+            ("/**/veneer", "/veneer", true),
+            ("/**/veneer", "/a/b/veneer", true),
+            ("/**/veneer", "/a/b/other", false),
+            ("/robot/**", "/robot/a/veneer", true),
+            ("veneer", "/veneer", true),
+            ("veneer", "/robot/veneer", false),
+            ("/robot/veneer", "/robot/veneer", true),
+        ] {
+            assert_eq!(addresses(section, node), expected, "{section} {node}");
+        }
     }
 }

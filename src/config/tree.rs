@@ -2,7 +2,7 @@
 
 use super::Config;
 use super::parameter::{Access, Parameter};
-use super::{publish, smooth};
+use super::{node, publish, smooth};
 use crate::export::NormalMode;
 use crate::export::pages::PageFormat;
 use crate::ingest::PoseSource;
@@ -213,6 +213,8 @@ pub const PARAMETERS: &[Parameter] = &[
         Choice { words: &["photo", "partner"], set: smooth::set_l1_target, get: smooth::l1_target }),
     row("texsmooth.resolution_exponent", "", "A pixel that covers more than one texel counts by their number to minus this; 0: all alike (the paper).",
         Float32(|c| &mut c.pipeline.texsmooth.resolution_exponent, 0.0, 16.0)),
+    row("texsmooth.own_weight", "", "How many times a pixel counts at texels that were painted from its photo; 1: all alike (the paper).",
+        Float32(|c| &mut c.pipeline.texsmooth.own_weight, 0.0, 1e6)),
     row("texsmooth.discriminator.enabled", "", "Whether a discriminator judges the rendering; without one the L1 term is all.",
         Bool(|c| &mut c.pipeline.texsmooth.has_discriminator)),
     row("texsmooth.discriminator.learning_rate", "", "Adam's step for the discriminator.",
@@ -280,6 +282,37 @@ pub const PARAMETERS: &[Parameter] = &[
         Float(|c| &mut c.pipeline.refine.seams.band_texel, 1e-3, 1e4)),
     row("photometric.max_seam_step", "", "Larger steps of linear light are left as they are.",
         Float(|c| &mut c.pipeline.refine.seams.max_step, 1e-6, 2.0)),
+
+    row("use_sim_time", "", "Take the time from /clock (node).",
+        Bool(|c| &mut c.node.use_sim_time)),
+    row("autostart", "", "Configure and activate at start; otherwise a lifecycle manager does (node).",
+        Bool(|c| &mut c.node.autostart)),
+    row("image_transport", "", "How colour images come: as published, the compressed one of two (auto); raw; compressed (node).",
+        Choice { words: node::TRANSPORT_WORDS, set: node::set_image_transport, get: node::image_transport }),
+    row("depth_transport", "", "The same for depth images (node).",
+        Choice { words: node::TRANSPORT_WORDS, set: node::set_depth_transport, get: node::depth_transport }),
+    row("mesh_type", "", "Type of the mesh topic; auto takes it from who publishes (node).",
+        Choice { words: node::MESH_TYPE_WORDS, set: node::set_mesh_type, get: node::mesh_type }),
+    row("memory.queue_mb", "MB", "Messages that wait to be decoded; beyond it the oldest of the topic goes (node).",
+        Float(|c| &mut c.node.queue_mb, 1.0, 1e5)),
+    row("idle_flush", "s", "Silence after which images that wait for a partner or a pose are given up on (node).",
+        Float(|c| &mut c.node.idle_flush_s, 0.1, 3600.0)),
+    row("paint_period", "s", "Least time between the starts of two paintings (node).",
+        Float(|c| &mut c.node.paint_period_s, 0.0, 3600.0)),
+    row("publish.rate_mb", "MB/s", "What is published in a second at most, all topics together (node).",
+        Float(|c| &mut c.node.publish_rate_mb, 0.1, 1e4)),
+    row("publish.depth", "", "Messages that each output keeps for late joiners and for readers that lag (node).",
+        Count(|c| &mut c.node.publish_depth, 1, 10_000)),
+    row("diagnostics.period", "s", "Time between two diagnostics (node).",
+        Float(|c| &mut c.node.diagnostics_period_s, 0.1, 3600.0)),
+    row("save.folder", "", "Folder that ~/save and ~/load are confined to; empty refuses both (node).",
+        Text(|c| &mut c.node.save_folder)),
+    row("save.on_shutdown", "", "File in that folder that is written when the node is told to stop; empty writes none (node).",
+        Text(|c| &mut c.node.save_on_shutdown)),
+    row("http.port", "", "Port on which the scan is served as GLB; 0 serves nothing (node).",
+        Int(|c| &mut c.node.http_port, 0, 65535)),
+    row("http.address", "", "Address to serve on; empty means this host only (node).",
+        Text(|c| &mut c.node.http_address)),
 
     row("eval.held_out_views", "", "Keyframes kept from the texture to judge it by; at most a tenth of all.",
         Count(|c| &mut c.pipeline.held_out.num_views, 0, 1000)),

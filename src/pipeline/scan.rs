@@ -7,6 +7,7 @@ use std::sync::Arc;
 use rayon::prelude::*;
 
 use super::clock::StageClock;
+use super::live::Capture;
 use super::run::{PipelineError, PipelineParams};
 use crate::geom::{ImageError, PosedFrame, Stamp};
 use crate::ingest::{Assembled, Assembler, EventSource, IngestReport};
@@ -34,6 +35,29 @@ pub struct Scan {
 }
 
 impl Scan {
+    /// A capture of a scan that goes on, with its mesh prepared; `store` decodes its keyframes.
+    pub(super) fn new(
+        mesh: TriMesh,
+        capture: &Capture,
+        num_welded_vertices: usize,
+        store: KeyframeStore,
+    ) -> Self {
+        Self {
+            mesh,
+            keyframes: capture.keyframes.clone(),
+            ingest: capture.ingest.clone(),
+            duration_s: capture.duration_s,
+            num_mesh_updates: capture.num_mesh_updates,
+            num_welded_vertices,
+            store,
+        }
+    }
+
+    /// The mesh, and what decodes the keyframes.
+    pub(super) fn into_parts(self) -> (TriMesh, KeyframeStore) {
+        (self.mesh, self.store)
+    }
+
     /// A keyframe's images, from the store's cache where it has them. The cache goes by id, so
     /// that a copy of a keyframe with another pose decodes alike.
     ///
@@ -77,20 +101,30 @@ pub fn gather(
     }
 
     clock.begin("weld the mesh", 0);
-    let welded = weld(&mesh, params.weld_tolerance_m)?;
-    let mesh = match params.num_subdivisions {
-        0 => welded.mesh,
-        num_rounds => subdivide(&welded.mesh, num_rounds)?,
-    };
+    let (mesh, num_welded_vertices) = prepared_mesh(&mesh, params)?;
     Ok(Scan {
         mesh,
         keyframes,
         ingest,
         duration_s,
         num_mesh_updates,
-        num_welded_vertices: welded.num_merged,
+        num_welded_vertices,
         store,
     })
+}
+
+/// The mesh as it is painted, welded and subdivided, and how many vertices welding merged into
+/// others.
+pub(super) fn prepared_mesh(
+    mesh: &TriMesh,
+    params: &PipelineParams,
+) -> Result<(TriMesh, usize), PipelineError> {
+    let welded = weld(mesh, params.weld_tolerance_m)?;
+    let mesh = match params.num_subdivisions {
+        0 => welded.mesh,
+        num_rounds => subdivide(&welded.mesh, num_rounds)?,
+    };
+    Ok((mesh, welded.num_merged))
 }
 
 struct Received {

@@ -24,6 +24,7 @@ mod interfaces;
 mod interrupt;
 mod launch_configs;
 mod lens;
+mod live;
 mod mesh_types;
 mod metric_peers;
 mod mips;

@@ -1,0 +1,227 @@
+//! The pipeline while the scan is being made.
+//!
+//! [`LiveScan`] is the front: it takes events one by one, as [`super::gather()`] does, and never
+//! waits for the rest. When keyframes or mesh have changed, a [`Capture`] of what there is (shared
+//! pointers, no copies) goes into a slot that holds one: [`Latest`]. [`Painter`] takes from it on
+//! a thread of its own and paints the whole with [`super::texture_scan()`]; changes that come
+//! meanwhile coalesce, and the latest is painted next.
+//!
+//! What is painted depends on the events alone: once the stream has ended and is flushed, it is
+//! what [`super::run()`] makes of the same events with no keyframe held back.
+
+mod latest;
+
+use std::sync::Arc;
+
+use super::clock::StageClock;
+use super::progress::Progress;
+use super::run::{PipelineError, PipelineParams, StageTime};
+use super::scan::{Scan, prepared_mesh};
+use super::texture::{Textured, texture_scan};
+use crate::geom::Stamp;
+use crate::ingest::{Assembled, Assembler, IngestReport, TimedEvent};
+use crate::keyframe::quality;
+use crate::keyframe::{Keyframe, KeyframeParams, KeyframeReport, KeyframeStore};
+use crate::mesh::TriMesh;
+
+pub use latest::Latest;
+
+/// What there is of a scan at one moment.
+#[derive(Clone, Debug)]
+pub struct Capture {
+    /// Counts the changes of keyframes and mesh; never falls.
+    pub revision: u64,
+    /// When the last event was received.
+    pub stamp: Stamp,
+    /// The mesh in the world frame, as it arrived.
+    pub mesh: Option<Arc<TriMesh>>,
+    /// All keyframes, in order.
+    pub keyframes: Vec<Arc<Keyframe>>,
+    /// What ingest received, used and refused.
+    pub ingest: IngestReport,
+    /// What the keyframe store kept and dropped.
+    pub store: KeyframeReport,
+    /// Images and meshes that still wait for something.
+    pub num_pending: usize,
+    /// From the first message to the last, in the time of the stream, seconds.
+    pub duration_s: f64,
+    /// How often the mesh changed.
+    pub num_mesh_updates: usize,
+}
+
+impl Capture {
+    /// Whether there is a mesh and a frame to paint it from.
+    pub fn is_paintable(&self) -> bool {
+        let has_triangles = self.mesh.as_ref().is_some_and(|m| m.num_triangles() > 0);
+        has_triangles && !self.keyframes.is_empty()
+    }
+}
+
+/// Frames and mesh of a scan that goes on.
+#[derive(Debug)]
+pub struct LiveScan {
+    assembler: Assembler,
+    store: KeyframeStore,
+    mesh: Option<Arc<TriMesh>>,
+    num_mesh_updates: usize,
+    revision: u64,
+    span: Option<(Stamp, Stamp)>,
+    scratch: Vec<Assembled>,
+}
+
+impl LiveScan {
+    /// An empty scan of a stream whose events refer to `topics`. Its revisions go on from
+    /// `revision`, so that those of a scan after a reset differ from those before.
+    pub fn new(params: &PipelineParams, topics: &[String], revision: u64) -> Self {
+        let keyframe = KeyframeParams {
+            // The painter decodes, and has the cache.
+            decode_cache_mb: 0.0,
+            ..params.keyframe.clone()
+        };
+        Self {
+            assembler: Assembler::new(&params.ingest, topics),
+            store: KeyframeStore::new(&keyframe),
+            mesh: None,
+            num_mesh_updates: 0,
+            revision,
+            span: None,
+            scratch: Vec::new(),
+        }
+    }
+
+    /// Takes the next event; whether keyframes or mesh changed by it.
+    pub fn push(&mut self, event: TimedEvent) -> bool {
+        let received = event.received;
+        let (first, last) = self.span.unwrap_or((received, received));
+        self.span = Some((first.min(received), last.max(received)));
+        let mut assembled = std::mem::take(&mut self.scratch);
+        self.assembler.push(event, &mut assembled);
+        self.take(assembled)
+    }
+
+    /// The stream has paused: what waits for a partner or a pose leaves, or is refused. Whether
+    /// keyframes or mesh changed by it.
+    pub fn flush(&mut self) -> bool {
+        let mut assembled = std::mem::take(&mut self.scratch);
+        self.assembler.finish(&mut assembled);
+        self.take(assembled)
+    }
+
+    /// Images and meshes that still wait for something.
+    pub fn num_pending(&self) -> usize {
+        self.assembler.num_pending()
+    }
+
+    /// See [`Capture::revision`].
+    pub fn revision(&self) -> u64 {
+        self.revision
+    }
+
+    /// What ingest received, used and refused.
+    pub fn ingest_report(&self) -> &IngestReport {
+        self.assembler.report()
+    }
+
+    /// What there is now.
+    pub fn capture(&self) -> Capture {
+        Capture {
+            revision: self.revision,
+            stamp: self.span.map_or(Stamp::default(), |(_, last)| last),
+            mesh: self.mesh.clone(),
+            keyframes: self.store.keyframes().cloned().collect(),
+            ingest: self.assembler.report().clone(),
+            store: self.store.report().clone(),
+            num_pending: self.assembler.num_pending(),
+            duration_s: self
+                .span
+                .map_or(0.0, |(first, last)| last.seconds_since(first)),
+            num_mesh_updates: self.num_mesh_updates,
+        }
+    }
+
+    fn take(&mut self, mut assembled: Vec<Assembled>) -> bool {
+        let before = self.revision;
+        for item in assembled.drain(..) {
+            match item {
+                Assembled::Frame(frame) => {
+                    let quality = quality::measure(&frame.color);
+                    let num_admitted = self.store.report().num_admitted;
+                    // The store counts what it does with each frame.
+                    drop(self.store.offer_measured(frame, quality));
+                    let is_kept = self.store.report().num_admitted != num_admitted;
+                    self.revision += u64::from(is_kept);
+                }
+                Assembled::Mesh(mesh) => {
+                    self.mesh = Some(mesh);
+                    self.num_mesh_updates += 1;
+                    self.revision += 1;
+                }
+            }
+        }
+        self.scratch = assembled;
+        self.revision != before
+    }
+}
+
+/// A capture and its texture.
+#[derive(Debug)]
+pub struct Painted {
+    /// What was painted.
+    pub capture: Capture,
+    /// The mesh in the world frame, welded and subdivided; what the texture is for.
+    pub mesh: TriMesh,
+    /// The texture.
+    pub textured: Textured,
+    /// Wall times, in order.
+    pub stages: Vec<StageTime>,
+}
+
+/// Paints captures; keeps decoded images between them.
+#[derive(Debug)]
+pub struct Painter {
+    cache: Option<KeyframeStore>,
+}
+
+impl Painter {
+    /// A painter with an empty cache of the size that `params` says.
+    pub fn new(params: &KeyframeParams) -> Self {
+        Self {
+            cache: Some(KeyframeStore::new(params)),
+        }
+    }
+
+    /// Paints the whole.
+    ///
+    /// # Errors
+    /// [`PipelineError`] when the capture is not paintable, its mesh cannot be welded, or a stage
+    /// refuses its parameters.
+    pub fn paint(
+        &mut self,
+        capture: Capture,
+        params: &PipelineParams,
+        progress: &dyn Progress,
+    ) -> Result<Painted, PipelineError> {
+        let clock = StageClock::new(progress);
+        let Some(mesh) = capture.mesh.as_ref().filter(|m| m.num_triangles() > 0) else {
+            return Err(PipelineError::NoMesh("none has arrived".to_owned()));
+        };
+        if capture.keyframes.is_empty() {
+            let words = "none was kept so far".to_owned();
+            return Err(PipelineError::NoKeyframe(words));
+        }
+        clock.begin("weld the mesh", 0);
+        let (mesh, num_welded_vertices) = prepared_mesh(mesh, params)?;
+        let store = self.cache.take();
+        let store = store.unwrap_or_else(|| KeyframeStore::new(&params.keyframe));
+        let scan = Scan::new(mesh, &capture, num_welded_vertices, store);
+        let textured = texture_scan(&scan, &capture.keyframes, params, &clock);
+        let (mesh, store) = scan.into_parts();
+        self.cache = Some(store);
+        Ok(Painted {
+            capture,
+            mesh,
+            textured: textured?,
+            stages: clock.finish(),
+        })
+    }
+}

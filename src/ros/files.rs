@@ -1,0 +1,271 @@
+//! Saving and loading, within one folder.
+//!
+//! The ending says what: `.mcap` a session, which is a bag of the kept frames at their poses and of
+//! the mesh, and can be loaded or replayed; `.glb`, `.obj`, `.ply` the textured mesh. Paths come
+//! from peers: they are relative, go down only, and pass no link.
+
+use std::path::{Component, Path, PathBuf};
+
+use crate::bag::scan_writer::{ScanTopics, ScanWriter};
+use crate::bag::{BagError, BagReader, Compression, TopicRoles};
+use crate::export::{ExportError, ExportParams, TexturedMesh, write_all};
+use crate::ingest::{EventSource, MeshUpdate, TimedEvent};
+use crate::pipeline::{Capture, Painted};
+
+/// Longest path that a peer may give, bytes.
+const MAX_PATH_BYTES: usize = 1000;
+
+/// Why nothing was saved or loaded.
+#[derive(Debug, thiserror::Error)]
+pub enum FileError {
+    /// No folder is set.
+    #[error("no folder is set to save in or load from: set the parameter save.folder")]
+    NoFolder,
+    /// The path leads elsewhere, or nowhere.
+    #[error("'{path}' {reason}")]
+    Path {
+        /// As given.
+        path: String,
+        /// What is wrong with it.
+        reason: &'static str,
+    },
+    /// There is nothing to save yet.
+    #[error("there is nothing to save: {0}")]
+    Nothing(&'static str),
+    /// The system refused a file.
+    #[error("{path}: {source}")]
+    System {
+        /// Which file.
+        path: PathBuf,
+        /// The system's words.
+        source: std::io::Error,
+    },
+    /// The session could not be written or read.
+    #[error(transparent)]
+    Bag(#[from] BagError),
+    /// The textured mesh could not be written.
+    #[error(transparent)]
+    Export(#[from] ExportError),
+    /// The session holds nothing to paint.
+    #[error("the session lacks {0}")]
+    Incomplete(String),
+}
+
+/// What a path's ending stands for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Kind {
+    Session,
+    Glb,
+    Obj,
+    Ply,
+}
+
+/// A file below `folder`. Its own folder is made where it is not there.
+///
+/// # Errors
+/// [`FileError::Path`] for a path that is not relative, goes up or passes a link.
+pub fn confined(folder: Option<&str>, path: &str) -> Result<PathBuf, FileError> {
+    let refuse = |reason| {
+        Err(FileError::Path {
+            path: path.chars().take(MAX_PATH_BYTES).collect(),
+            reason,
+        })
+    };
+    let Some(folder) = folder else {
+        return Err(FileError::NoFolder);
+    };
+    if path.is_empty() || path.len() > MAX_PATH_BYTES || path.contains('\0') {
+        return refuse("is empty, or too long");
+    }
+    let parts: Vec<_> = Path::new(path).components().collect();
+    if !parts.iter().all(|part| matches!(part, Component::Normal(_))) {
+        return refuse("must be relative to save.folder and go down only");
+    }
+    let system = |path: &Path| {
+        let path = path.to_owned();
+        move |source| FileError::System { path, source }
+    };
+    std::fs::create_dir_all(folder).map_err(system(Path::new(folder)))?;
+    let mut place = PathBuf::from(folder);
+    for (i, part) in parts.iter().enumerate() {
+        place.push(part);
+        match std::fs::symlink_metadata(&place) {
+            Ok(found) if found.file_type().is_symlink() => {
+                return refuse("passes a link");
+            }
+            Ok(found) if i + 1 < parts.len() && !found.is_dir() => {
+                return refuse("passes a file as if it were a folder");
+            }
+            Ok(_) => {}
+            Err(_) if i + 1 < parts.len() => {
+                std::fs::create_dir(&place).map_err(system(&place))?;
+            }
+            Err(_) => {}
+        }
+    }
+    Ok(place)
+}
+
+fn kind(path: &Path) -> Option<Kind> {
+    let ending = path.extension()?.to_str()?.to_ascii_lowercase();
+    match ending.as_str() {
+        "mcap" => Some(Kind::Session),
+        "glb" => Some(Kind::Glb),
+        "obj" => Some(Kind::Obj),
+        "ply" => Some(Kind::Ply),
+        _ => None,
+    }
+}
+
+/// Whether saving to `path` needs a painting.
+///
+/// # Errors
+/// [`FileError::Path`] for an ending that stands for nothing.
+pub fn needs_painting(path: &Path) -> Result<bool, FileError> {
+    match kind(path) {
+        Some(kind) => Ok(kind != Kind::Session),
+        None => Err(FileError::Path {
+            path: path.display().to_string(),
+            reason: "ends in none of .mcap (session), .glb, .obj, .ply",
+        }),
+    }
+}
+
+/// Writes the kept frames at their poses, and the mesh; what was done, in words. The file appears
+/// under its name when it is complete.
+///
+/// # Errors
+/// [`FileError`].
+pub fn save_session(path: &Path, capture: &Capture) -> Result<String, FileError> {
+    if capture.keyframes.is_empty() && capture.mesh.is_none() {
+        return Err(FileError::Nothing("no frame was kept and no mesh came"));
+    }
+    let world_frame = capture.ingest.world_frame.clone();
+    let topics = ScanTopics {
+        world_frame: world_frame.unwrap_or_else(|| ScanTopics::default().world_frame),
+        ..ScanTopics::default()
+    };
+    let mut writer = ScanWriter::create(path, &topics, Compression::None)?;
+    let first = capture.keyframes.first();
+    let start = first.map_or(capture.stamp, |keyframe| keyframe.stamp);
+    if let Some(mesh) = &capture.mesh {
+        writer.mesh(start, &MeshUpdate::Whole((**mesh).clone()))?;
+    }
+    for keyframe in &capture.keyframes {
+        let stamp = keyframe.stamp;
+        writer.pose(stamp, &keyframe.world_from_camera)?;
+        writer.color_info(stamp, &keyframe.color_camera)?;
+        if let Some(depth) = &keyframe.depth {
+            // The depth camera hangs below the colour camera, anew for each frame: its pose among
+            // them also holds how far the camera moved between the two images.
+            let color_from_depth = depth.depth_from_color.inverse();
+            writer.moving_depth_frame(stamp, &color_from_depth)?;
+            writer.depth_info(stamp, &depth.camera)?;
+            writer.color(stamp, &keyframe.color)?;
+            writer.depth(stamp, &depth.image)?;
+        } else {
+            writer.color(stamp, &keyframe.color)?;
+        }
+    }
+    let summary = writer.finish()?;
+    Ok(format!(
+        "{} frames, {} bytes, to {}",
+        capture.keyframes.len(),
+        summary.num_bytes,
+        path.display()
+    ))
+}
+
+/// Writes the textured mesh in the form that the path's ending stands for; what was done, in words.
+///
+/// # Errors
+/// [`FileError`].
+pub fn save_painting(
+    path: &Path,
+    painted: &Painted,
+    params: &ExportParams,
+) -> Result<String, FileError> {
+    let texinit = &painted.textured.texinit;
+    let textured = TexturedMesh::new(&painted.mesh, &texinit.layout, &texinit.texture)?;
+    let folder = path.parent().unwrap_or(Path::new("."));
+    let stem = path.file_stem().and_then(|stem| stem.to_str());
+    let kind = kind(path);
+    let params = ExportParams {
+        name: stem.unwrap_or("scan").to_owned(),
+        glb: kind == Some(Kind::Glb),
+        obj: kind == Some(Kind::Obj),
+        ply: kind == Some(Kind::Ply),
+        provenance: false,
+        ..params.clone()
+    };
+    let summary = write_all(&textured, folder, &params)?;
+    let files: Vec<_> = summary.files.iter().map(|f| f.display().to_string()).collect();
+    Ok(format!("{} in {}", files.join(", "), folder.display()))
+}
+
+/// Reads a session's events.
+///
+/// # Errors
+/// [`FileError`].
+pub fn load_session(path: &Path) -> Result<(Vec<String>, Vec<TimedEvent>), FileError> {
+    if kind(path) != Some(Kind::Session) {
+        return Err(FileError::Path {
+            path: path.display().to_string(),
+            reason: "is no session (.mcap)",
+        });
+    }
+    let mut bag = BagReader::open(path, &TopicRoles::default())?;
+    if let Some(missing) = bag.plan().missing.first() {
+        return Err(FileError::Incomplete(missing.role.name().to_owned()));
+    }
+    let topics = bag.topics().to_vec();
+    let mut events = Vec::new();
+    while let Some(event) = bag.next_event() {
+        events.push(event);
+    }
+    Ok((topics, events))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn paths_stay_in_their_folder() {
+        let dir = tempfile::tempdir().unwrap();
+        let folder = dir.path().join("saves");
+        let folder_text = folder.to_str().unwrap();
+        let inside = confined(Some(folder_text), "a/b/scan.mcap").unwrap();
+        assert_eq!(inside, folder.join("a/b/scan.mcap"));
+        assert!(folder.join("a/b").is_dir());
+        for outside in ["", "/etc/passwd", "../x.mcap", "a/../../x", "a/./../..", "./../x", "a\0b"] {
+            let refused = confined(Some(folder_text), outside);
+            assert!(refused.is_err(), "{outside:?}: {refused:?}");
+        }
+        assert!(matches!(confined(None, "x.mcap"), Err(FileError::NoFolder)));
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn links_lead_nowhere() {
+        let dir = tempfile::tempdir().unwrap();
+        let folder = dir.path().join("saves");
+        std::fs::create_dir(&folder).unwrap();
+        std::fs::write(dir.path().join("secret.mcap"), b"x").unwrap();
+        std::os::unix::fs::symlink(dir.path(), folder.join("up")).unwrap();
+        let link = folder.join("scan.mcap");
+        std::os::unix::fs::symlink(dir.path().join("secret.mcap"), link).unwrap();
+        for path in ["up/secret.mcap", "scan.mcap"] {
+            let refused = confined(folder.to_str(), path);
+            assert!(refused.is_err(), "{path}: {refused:?}");
+        }
+    }
+
+    #[test]
+    fn endings_say_what_is_saved() {
+        assert!(!needs_painting(Path::new("a.mcap")).unwrap());
+        assert!(needs_painting(Path::new("a.GLB")).unwrap());
+        assert!(needs_painting(Path::new("a.exe")).is_err());
+        assert!(needs_painting(Path::new("mcap")).is_err());
+    }
+}

@@ -1,0 +1,246 @@
+//! Looks at the running node once a second, and tells what it saw.
+
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use ros2_client::Context;
+use rustdds::bytes::Bytes;
+
+use crate::wire::event::MessageType;
+use crate::wire::{DiagnosticArray, Message, Status};
+
+use super::clock::RosClock;
+use super::control::Control;
+use super::diagnostics::{self, Finding, InputObservation, Level, Observation};
+use super::error::NodeError;
+use super::graph::EntityList;
+use super::inbox::TopicCounts;
+use super::inputs::{Input, Offer};
+use super::names::NameResolver;
+use super::output::OutputState;
+use super::status;
+use super::transport::{RawWriter, TopicQos, Written};
+
+/// What the watcher of the graph leaves for the monitor.
+#[derive(Debug, Default)]
+pub(super) struct GraphView {
+    state: Mutex<(Vec<Offer>, Vec<String>)>,
+}
+
+impl GraphView {
+    pub(super) fn set(&self, offers: Vec<Offer>, complaints: Vec<String>) {
+        *self.state.lock().unwrap_or_else(PoisonError::into_inner) = (offers, complaints);
+    }
+
+    fn get(&self) -> (Vec<Offer>, Vec<String>) {
+        let state = self.state.lock();
+        state.unwrap_or_else(PoisonError::into_inner).clone()
+    }
+}
+
+/// What is looked at and written to.
+pub(super) struct Monitor {
+    control: Arc<Control>,
+    output: Arc<OutputState>,
+    graph: Arc<GraphView>,
+    clock: Arc<RosClock>,
+    inputs: Vec<Input>,
+    socket_remedy: Option<String>,
+    node_name: String,
+    diagnostics: RawWriter,
+    status: RawWriter,
+    previous: Vec<TopicCounts>,
+    previous_at: Instant,
+    /// By part: what was seen last, and what the log has.
+    seen: BTreeMap<&'static str, String>,
+    told: BTreeMap<&'static str, String>,
+    /// Since when a topic has publishers.
+    published_since: BTreeMap<String, Instant>,
+}
+
+/// What a [`Monitor`] looks at.
+pub(super) struct Watched {
+    pub(super) control: Arc<Control>,
+    pub(super) output: Arc<OutputState>,
+    pub(super) graph: Arc<GraphView>,
+    pub(super) clock: Arc<RosClock>,
+    pub(super) inputs: Vec<Input>,
+    pub(super) socket_remedy: Option<String>,
+}
+
+impl Monitor {
+    pub(super) fn new(
+        context: &Context,
+        names: &NameResolver,
+        entities: &EntityList,
+        watched: Watched,
+    ) -> Result<Self, NodeError> {
+        let topic = names.resolve("/diagnostics")?;
+        let qos = TopicQos {
+            is_reliable: true,
+            is_latched: false,
+            depth: 10,
+        };
+        let diagnostics = RawWriter::new(context, &topic, DiagnosticArray::TYPE_NAME, qos)?;
+        entities.add_writer(diagnostics.gid());
+        let topic = names.resolve("~/status")?;
+        let status = RawWriter::new(context, &topic, Status::TYPE_NAME, qos)?;
+        entities.add_writer(status.gid());
+        let Watched {
+            control,
+            output,
+            graph,
+            clock,
+            inputs,
+            socket_remedy,
+        } = watched;
+        Ok(Self {
+            control,
+            output,
+            graph,
+            clock,
+            inputs,
+            socket_remedy,
+            node_name: names.node().fully_qualified(),
+            diagnostics,
+            status,
+            previous: Vec::new(),
+            previous_at: Instant::now(),
+            seen: BTreeMap::new(),
+            told: BTreeMap::new(),
+            published_since: BTreeMap::new(),
+        })
+    }
+
+    /// Tells once in a period, without end.
+    pub(super) async fn run(mut self) {
+        loop {
+            self.tell();
+            let period = self.control.shared.config().node.diagnostics_period_s;
+            smol::Timer::after(Duration::from_secs_f64(period)).await;
+        }
+    }
+
+    fn tell(&mut self) {
+        let (findings, status) = self.look();
+        for finding in &findings {
+            self.log(finding);
+        }
+        let message = diagnostics::message(self.clock.now(), &self.node_name, &findings);
+        for (writer, message) in [(&self.diagnostics, message), (&self.status, status)] {
+            if let Written::Failed(reason) = writer.write(Bytes::from(message)) {
+                tracing::debug!("diagnostics or status were not sent: {reason}");
+            }
+        }
+    }
+
+    /// The log has a problem once, not every second, and only when it was there twice in a row;
+    /// numbers in it may change.
+    fn log(&mut self, finding: &Finding) {
+        let class: String = finding
+            .message
+            .chars()
+            .filter(|c| !c.is_ascii_digit())
+            .collect();
+        let before = self.seen.insert(finding.part, class.clone());
+        if before.as_ref() != Some(&class) || self.told.get(finding.part) == Some(&class) {
+            return;
+        }
+        let was_told = self.told.insert(finding.part, class).is_some();
+        match finding.level {
+            Level::Error => tracing::error!("{}: {}", finding.part, finding.message),
+            Level::Warn => tracing::warn!("{}: {}", finding.part, finding.message),
+            Level::Ok if was_told => tracing::info!("{}: {}", finding.part, finding.message),
+            Level::Ok => {}
+        }
+    }
+
+    /// For how long each input has had publishers.
+    fn published_since(&mut self, offers: &[Offer]) -> Vec<Option<Duration>> {
+        let is_offered = |topic: &String| offers.iter().any(|offer| offer.topic == *topic);
+        self.published_since.retain(|topic, _| is_offered(topic));
+        let mut ages = Vec::new();
+        for input in &self.inputs {
+            ages.push(is_offered(&input.topic).then(|| {
+                let since = self.published_since.entry(input.topic.clone());
+                since.or_insert_with(Instant::now).elapsed()
+            }));
+        }
+        ages
+    }
+
+    /// What is wrong, and the serialised status.
+    fn look(&mut self) -> (Vec<Finding>, Vec<u8>) {
+        let control = Arc::clone(&self.control);
+        let shared = &control.shared;
+        let config = shared.config();
+        let (offers, complaints) = self.graph.get();
+        let counts = shared.inbox.counts();
+        let ages = shared.inbox.ages();
+        let now = Instant::now();
+        let elapsed_s = now.saturating_duration_since(self.previous_at).as_secs_f64();
+        let published_since = self.published_since(&offers);
+        let inputs = self
+            .inputs
+            .iter()
+            .enumerate()
+            .zip(counts.iter().zip(&ages))
+            .map(|((at, input), (counts, age))| {
+                let before = self.previous.get(at).cloned().unwrap_or_default();
+                let num_new = counts.num_received - before.num_received;
+                let readable = |offer: &&Offer| {
+                    let known = MessageType::from_name(&offer.type_name);
+                    offer.topic == input.topic && known.is_some_and(|t| input.types.contains(&t))
+                };
+                InputObservation {
+                    input,
+                    num_publishers: offers.iter().filter(readable).count(),
+                    published_for: published_since.get(at).copied().flatten(),
+                    rate_hz: num_new as f64 / elapsed_s.max(1e-3),
+                    age: *age,
+                    num_new_drops: num_drops(counts) - num_drops(&before),
+                    counts: counts.clone(),
+                }
+            })
+            .collect();
+        let capture = shared.view();
+        let paint = shared.paint_status();
+        let outputs = self.output.counts();
+        let seen = Observation {
+            state: control.state(),
+            is_paused: control.is_paused(),
+            now: self.clock.is_running().then(|| self.clock.now()),
+            inputs,
+            complaints: &complaints,
+            capture: capture.as_ref(),
+            paint: &paint,
+            num_captures_replaced: shared.num_captures_replaced(),
+            outputs: &outputs,
+            pose_source: config.pipeline.ingest.pose_source,
+            transports: [config.node.image_transport, config.node.depth_transport],
+            memory_bytes: resident_bytes().unwrap_or(0),
+            socket_remedy: self.socket_remedy.as_deref(),
+            queue_bytes: shared.inbox.num_bytes(),
+        };
+        let findings = diagnostics::findings(&seen);
+        let last = shared.last_painted();
+        let status = status::message(self.clock.now(), &seen, last.as_deref());
+        self.previous = counts;
+        self.previous_at = now;
+        (findings, status)
+    }
+}
+
+/// What went without being asked to: a pause drops on purpose.
+fn num_drops(counts: &TopicCounts) -> u64 {
+    counts.num_dropped_full + counts.num_lost + counts.num_unreadable
+}
+
+/// Memory that the process holds, where the system tells.
+fn resident_bytes() -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find(|line| line.starts_with("VmRSS:"))?;
+    let kilobytes: u64 = line.split_whitespace().nth(1)?.parse().ok()?;
+    Some(kilobytes * 1024)
+}

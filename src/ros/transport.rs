@@ -1,0 +1,328 @@
+//! Serialised messages in and out of DDS, as bytes: nothing is decoded here.
+//!
+//! Readers hand over each sample as ROS serialises it, with its 4-byte encapsulation header, and
+//! with the writer and sequence number that it came with; a gap in a writer's numbers is what was
+//! lost on the way. Writers take such bytes. Both are RustDDS' own, made at the participant that
+//! ros2-client's node uses, since the node's own decode on the task that receives.
+
+use std::convert::Infallible;
+use std::net::Ipv4Addr;
+
+use futures::stream::{Stream, StreamExt};
+use ros2_client::Context;
+use ros2_client::gid::Gid;
+use ros2_client::qos::{Durability, History, QosProfile, Reliability, WhenFull};
+use rustdds::bytes::Bytes;
+use rustdds::dds::adapters::no_key::{
+    Decode, DefaultDecoder, DeserializerAdapter, SerializerAdapter,
+};
+use rustdds::{
+    DomainParticipant, DomainParticipantBuilder, GUID, QosPolicies, RTPSEntity,
+    RepresentationIdentifier, Timestamp, TopicKind, no_key,
+};
+
+use super::env::Network;
+use super::error::NodeError;
+
+/// Bytes of the encapsulation header.
+const HEADER_BYTES: usize = 4;
+
+/// Encodings that can arrive, with the first two bytes of a serialised message. All are taken, so
+/// that what cannot be read is refused with the message's own words, and counted.
+const ENCODINGS: [(RepresentationIdentifier, [u8; 2]); 10] = [
+    (RepresentationIdentifier::CDR_BE, [0, 0]),
+    (RepresentationIdentifier::CDR_LE, [0, 1]),
+    (RepresentationIdentifier::PL_CDR_BE, [0, 2]),
+    (RepresentationIdentifier::PL_CDR_LE, [0, 3]),
+    (RepresentationIdentifier::XML, [0, 4]),
+    (RepresentationIdentifier::XCDR2_BE, [0, 6]),
+    (RepresentationIdentifier::XCDR2_LE, [0, 7]),
+    (RepresentationIdentifier::D_CDR2_BE, [0, 8]),
+    (RepresentationIdentifier::D_CDR2_LE, [0, 9]),
+    (RepresentationIdentifier::PL_XCDR2_LE, [0, 11]),
+];
+const ENCODING_IDS: [RepresentationIdentifier; ENCODINGS.len()] = {
+    let mut ids = [RepresentationIdentifier::CDR_BE; ENCODINGS.len()];
+    let mut i = 0;
+    while i < ids.len() {
+        ids[i] = ENCODINGS[i].0;
+        i += 1;
+    }
+    ids
+};
+
+/// Hands over bytes as they are.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct RawAdapter;
+
+impl DeserializerAdapter<Vec<u8>> for RawAdapter {
+    type Error = Infallible;
+    type Decoded = Vec<u8>;
+
+    fn supported_encodings() -> &'static [RepresentationIdentifier] {
+        &ENCODING_IDS
+    }
+
+    fn transform_decoded(decoded: Vec<u8>) -> Vec<u8> {
+        decoded
+    }
+}
+
+impl DefaultDecoder<Vec<u8>> for RawAdapter {
+    type Decoder = Self;
+    const DECODER: Self = Self;
+}
+
+impl Decode<'_, Vec<u8>> for RawAdapter {
+    type Error = Infallible;
+
+    fn decode_bytes(
+        self,
+        body: &[u8],
+        encoding: RepresentationIdentifier,
+    ) -> Result<Vec<u8>, Infallible> {
+        let known = ENCODINGS.iter().find(|(id, _)| *id == encoding);
+        let first = known.map_or([0xff, 0xff], |(_, bytes)| *bytes);
+        let mut bytes = Vec::with_capacity(HEADER_BYTES + body.len());
+        bytes.extend_from_slice(&first);
+        bytes.extend_from_slice(&[0, 0]);
+        bytes.extend_from_slice(body);
+        Ok(bytes)
+    }
+}
+
+impl SerializerAdapter<Bytes> for RawAdapter {
+    type Error = Infallible;
+
+    fn output_encoding() -> RepresentationIdentifier {
+        RepresentationIdentifier::CDR_LE
+    }
+
+    fn to_bytes(message: &Bytes) -> Result<Bytes, Infallible> {
+        Ok(message.slice(HEADER_BYTES.min(message.len())..))
+    }
+}
+
+/// How a topic is read or written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TopicQos {
+    /// Whether what is lost is sent again.
+    pub is_reliable: bool,
+    /// Whether late joiners get what was published before.
+    pub is_latched: bool,
+    /// Messages kept, ≥ 1.
+    pub depth: usize,
+}
+
+impl TopicQos {
+    /// What a camera's driver publishes with.
+    pub const SENSOR_DATA: Self = Self {
+        is_reliable: false,
+        is_latched: false,
+        depth: 5,
+    };
+
+    fn policies(self) -> QosPolicies {
+        let profile = QosProfile {
+            reliability: if self.is_reliable {
+                // A full window is back-pressure that the caller handles, not the DDS thread.
+                Reliability::Reliable {
+                    when_full: WhenFull::Fail,
+                }
+            } else {
+                Reliability::BestEffort
+            },
+            durability: if self.is_latched {
+                Durability::TransientLocal
+            } else {
+                Durability::Volatile
+            },
+            history: History::KeepLast { depth: self.depth },
+            ..QosProfile::subscription_default()
+        };
+        QosPolicies::from(profile)
+    }
+}
+
+/// A message as it arrived.
+#[derive(Clone, Debug)]
+pub(super) struct RawSample {
+    /// The serialised message with its encapsulation header.
+    pub(super) bytes: Vec<u8>,
+    /// Who wrote it.
+    pub(super) writer: GUID,
+    /// Its number among that writer's.
+    pub(super) sequence_number: i64,
+}
+
+/// Makes a participant that keeps to `network`.
+pub(super) fn participant(network: &Network) -> Result<DomainParticipant, NodeError> {
+    let mut builder = DomainParticipantBuilder::new(network.domain_id);
+    if !network.interfaces.is_empty() {
+        let interfaces: Vec<Ipv4Addr> = network.interfaces.clone();
+        builder = builder.with_only_networks(interfaces);
+    }
+    builder
+        .build()
+        .map_err(|error| NodeError::dds("the DDS participant", &error))
+}
+
+/// `package/msg/Name` as DDS calls it.
+pub(super) fn dds_type_name(type_name: &str) -> String {
+    let mut parts = type_name.split('/');
+    let package = parts.next().unwrap_or_default();
+    let last = parts.next_back().unwrap_or_default();
+    format!("{package}::msg::dds_::{last}_")
+}
+
+/// What DDS calls `package/msg/Name`, if it is a ROS message.
+pub(super) fn ros_type_name(dds_name: &str) -> Option<String> {
+    let (package, last) = dds_name.split_once("::msg::dds_::")?;
+    Some(format!("{package}/msg/{}", last.strip_suffix('_')?))
+}
+
+/// A topic's absolute name as DDS calls it.
+pub(super) fn dds_topic_name(topic: &str) -> String {
+    format!("rt{topic}")
+}
+
+/// What DDS calls a ROS topic, if it is one.
+pub(super) fn ros_topic_name(dds_name: &str) -> Option<&str> {
+    dds_name.strip_prefix("rt").filter(|t| t.starts_with('/'))
+}
+
+/// Reads one topic.
+pub(super) struct RawReader {
+    reader: no_key::SimpleDataReader<Vec<u8>, RawAdapter>,
+}
+
+impl RawReader {
+    pub(super) fn new(
+        context: &Context,
+        topic: &str,
+        type_name: &str,
+        qos: TopicQos,
+    ) -> Result<Self, NodeError> {
+        let failed = |error: &dyn std::fmt::Display| NodeError::dds(topic, error);
+        let policies = qos.policies();
+        let participant = context.domain_participant();
+        let dds_topic = participant
+            .create_topic(
+                dds_topic_name(topic),
+                dds_type_name(type_name),
+                &policies,
+                TopicKind::NoKey,
+            )
+            .map_err(|e| failed(&e))?;
+        let subscriber = participant
+            .create_subscriber(&policies)
+            .map_err(|e| failed(&e))?;
+        let reader = subscriber
+            .create_simple_datareader_no_key(&dds_topic, Some(policies))
+            .map_err(|e| failed(&e))?;
+        Ok(Self { reader })
+    }
+
+    pub(super) fn gid(&self) -> Gid {
+        Gid::from(self.reader.guid())
+    }
+
+    /// Samples as they arrive, without end; an error is one sample that DDS could not give out.
+    pub(super) fn samples(&self) -> impl Stream<Item = Result<RawSample, String>> + '_ {
+        self.reader.as_async_stream().map(|result| {
+            result
+                .map(|change| RawSample {
+                    writer: change.writer_guid,
+                    sequence_number: change.sequence_number.into(),
+                    bytes: change.into_value(),
+                })
+                .map_err(|error| error.to_string())
+        })
+    }
+}
+
+/// What became of a message that was to be written.
+#[derive(Debug)]
+pub(super) enum Written {
+    /// It is on its way.
+    Sent,
+    /// Readers have not yet acknowledged as many as the writer keeps; the message comes back.
+    WindowFull(Bytes),
+    /// DDS refused it.
+    Failed(String),
+}
+
+/// Writes one topic.
+pub(super) struct RawWriter {
+    writer: no_key::DataWriter<Bytes, RawAdapter>,
+}
+
+impl RawWriter {
+    pub(super) fn new(
+        context: &Context,
+        topic: &str,
+        type_name: &str,
+        qos: TopicQos,
+    ) -> Result<Self, NodeError> {
+        let failed = |error: &dyn std::fmt::Display| NodeError::dds(topic, error);
+        let policies = qos.policies();
+        let participant = context.domain_participant();
+        let dds_topic = participant
+            .create_topic(
+                dds_topic_name(topic),
+                dds_type_name(type_name),
+                &policies,
+                TopicKind::NoKey,
+            )
+            .map_err(|e| failed(&e))?;
+        let publisher = participant
+            .create_publisher(&policies)
+            .map_err(|e| failed(&e))?;
+        let writer = publisher
+            .create_datawriter_no_key(&dds_topic, Some(policies))
+            .map_err(|e| failed(&e))?;
+        Ok(Self { writer })
+    }
+
+    pub(super) fn gid(&self) -> Gid {
+        Gid::from(self.writer.guid())
+    }
+
+    /// Writes a serialised message with its encapsulation header; never blocks.
+    pub(super) fn write(&self, message: Bytes) -> Written {
+        match self.writer.write(message, Some(Timestamp::now())) {
+            Ok(()) => Written::Sent,
+            Err(rustdds::dds::WriteError::WouldBlock { data }) => Written::WindowFull(data),
+            Err(error) => Written::Failed(error.to_string()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_go_to_dds_and_back() {
+        let dds = dds_type_name("sensor_msgs/msg/Image");
+        assert_eq!(dds, "sensor_msgs::msg::dds_::Image_");
+        assert_eq!(ros_type_name(&dds).unwrap(), "sensor_msgs/msg/Image");
+        assert_eq!(ros_type_name("sensor_msgs::srv::dds_::X_"), None);
+        assert_eq!(ros_topic_name(&dds_topic_name("/a/b")), Some("/a/b"));
+        assert_eq!(ros_topic_name("rq/a/bRequest"), None);
+        assert_eq!(ros_topic_name("rtfoo"), None);
+    }
+
+    #[test]
+    fn bytes_pass_unchanged_with_their_header() {
+        let body = [1, 2, 3];
+        let received = RawAdapter
+            .decode_bytes(&body, RepresentationIdentifier::CDR_BE)
+            .unwrap();
+        assert_eq!(received, [0, 0, 0, 0, 1, 2, 3]);
+        let sent = RawAdapter::to_bytes(&Bytes::from(vec![0, 1, 0, 0, 9])).unwrap();
+        assert_eq!(sent[..], [9]);
+        let short = RawAdapter::to_bytes(&Bytes::from(vec![0, 1])).unwrap();
+        assert!(short.is_empty());
+    }
+}

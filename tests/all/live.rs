@@ -1,0 +1,300 @@
+//! The live node among real ROS 2 peers, on 127.0.0.1.
+
+mod raw_peer;
+mod rig;
+
+use std::time::{Duration, Instant};
+
+use serde_json::Value;
+
+use crate::command::{small_tabletop, veneer_ok};
+use raw_peer::RawPeer;
+use rig::{Diagnostics, Rig, send_signal};
+
+const INPUTS: [&str; 6] = [
+    "/rgb/image/compressed",
+    "/rgb/camera_info",
+    "/depth/image/compressedDepth",
+    "/depth/camera_info",
+    "/pose",
+    "/mesh",
+];
+/// For a mesh that does not say its frame, and poses without transforms.
+const POSE_ARGS: [&str; 4] = ["-p", "pose_source:=pose", "-p", "mesh_frame:=map"];
+
+fn wait_until(rig: &Rig, what: &str, is_so: impl Fn(&Diagnostics) -> bool) -> Diagnostics {
+    let deadline = Instant::now() + Duration::from_secs(60);
+    loop {
+        let seen = rig.diagnostics();
+        if is_so(&seen) {
+            return seen;
+        }
+        assert!(Instant::now() < deadline, "not {what}: {seen:?}");
+    }
+}
+
+/// Whether all that came is painted.
+fn is_settled(seen: &Diagnostics) -> bool {
+    seen.number("painting", "paintings") > 0
+        && seen.number("keyframes", "pending") == 0
+        && seen.value("painting", "is painting").as_deref() == Some("false")
+        && seen.value("painting", "revision painted") == seen.value("keyframes", "revision")
+}
+
+fn sent(said: &Value, topic: &str) -> u64 {
+    said["sent"][topic].as_u64().unwrap_or(0)
+}
+
+#[test]
+fn a_scan_is_painted_and_reaches_early_and_late_subscribers() {
+    let Some(rig) = Rig::new() else { return };
+    let dir = tempfile::tempdir().unwrap();
+    let bag = small_tabletop(dir.path(), &[]);
+    let mut node = rig.node(dir.path(), &POSE_ARGS);
+    let topics = [
+        "/veneer/keyframes=geometry_msgs/msg/PoseArray",
+        "/veneer/markers=visualization_msgs/msg/MarkerArray",
+    ];
+    let mut early = rig.peer(&["listen", topics[0], topics[1]]);
+    assert_eq!(early.next()["listening"], true);
+    let mut player = rig.peer(&["play", bag.to_str().unwrap()]);
+    let matched = player.next();
+    assert_eq!(matched["matched"], true, "{matched}");
+    let said = player.next();
+    let seen = wait_until(&rig, "painted", is_settled);
+
+    for topic in INPUTS {
+        let received = seen.number("inputs", &format!("{topic} received"));
+        let lost = seen.number("inputs", &format!("{topic} lost"));
+        assert_eq!(received + lost, sent(&said, topic), "{topic}: {seen:?}");
+        let taken = seen.number("inputs", &format!("{topic} taken"));
+        let dropped = seen.number("inputs", &format!("{topic} dropped"));
+        assert_eq!(taken + dropped, received + lost, "{topic}: {seen:?}");
+    }
+    assert!(seen.number("keyframes", "keyframes") > 3, "{seen:?}");
+
+    let whole = |arguments: &[&str]| {
+        let mut late = rig.peer(arguments);
+        assert_eq!(late.next()["listening"], true);
+        std::thread::sleep(Duration::from_secs(3));
+        late.stop()["counts"].clone()
+    };
+    let latched = whole(&["listen", "--latched", topics[0], topics[1]]);
+    let volatile = whole(&["listen", topics[0], topics[1]]);
+    let early = early.stop()["counts"].clone();
+    for counts in [&early, &latched, &volatile] {
+        for topic in ["/veneer/keyframes", "/veneer/markers"] {
+            let count = &counts[topic];
+            assert!(count["num"].as_u64().unwrap() > 0, "{topic}: {counts}");
+            assert!(count["max_bytes"].as_u64().unwrap() <= 190_000, "{counts}");
+        }
+    }
+    assert!(node.is_running());
+    let log = node.log();
+    let (success, took) = node.end("TERM");
+    assert!(success && took < Duration::from_secs(2), "{took:?}\n{log}");
+    drop(player);
+}
+
+#[test]
+fn live_is_replay_under_simulated_time() {
+    let Some(rig) = Rig::new() else { return };
+    let dir = tempfile::tempdir().unwrap();
+    let bag = small_tabletop(dir.path(), &[]);
+    let out = dir.path().join("replayed");
+    veneer_ok(&[
+        "--quiet",
+        "replay",
+        bag.to_str().unwrap(),
+        "--out",
+        out.to_str().unwrap(),
+        "-p",
+        "eval.held_out_views:=0",
+    ]);
+    let saves = dir.path().join("saves");
+    let folder = format!("save.folder:={}", saves.display());
+    let node = rig.node(
+        dir.path(),
+        &[
+            "-p",
+            "use_sim_time:=true",
+            "-p",
+            "mesh_frame:=map",
+            "-p",
+            &folder,
+            "-p",
+            "save.on_shutdown:=scan.glb",
+        ],
+    );
+    let mut transforms = RawPeer::new(rig.domain);
+    transforms.send(&bag, "/tf_static", "/tf_static");
+    transforms.send(&bag, "/tf", "/tf");
+    let args = ["play", "--clock", bag.to_str().unwrap(), "--optional", "/pose"];
+    let mut player = rig.peer(&args);
+    assert_eq!(player.next()["matched"], true);
+    let said = player.next();
+    let seen = wait_until(&rig, "painted", is_settled);
+    for topic in &INPUTS[..4] {
+        let taken = seen.number("inputs", &format!("{topic} taken"));
+        assert_eq!(taken, sent(&said, topic), "a message was lost: {seen:?}");
+    }
+    let (success, _) = node.end("INT");
+    assert!(success);
+    let live = std::fs::read(saves.join("scan.glb")).unwrap();
+    let replayed = std::fs::read(out.join("scan.glb")).unwrap();
+    assert!(live == replayed, "{} and {} bytes", live.len(), replayed.len());
+}
+
+#[test]
+fn parameters_services_and_lifecycle_answer_rclpy() {
+    let Some(rig) = Rig::new() else { return };
+    let dir = tempfile::tempdir().unwrap();
+    let args = ["-r", "__ns:=/robot", "-r", "__node:=painter", "-p", "autostart:=false"];
+    let mut node = rig.node(dir.path(), &args);
+    let trigger = |name: &str| {
+        rig.call(
+            &format!("/robot/painter/{name}"),
+            "std_srvs/srv/Trigger",
+            "{}",
+        )
+    };
+    let lifecycle = |name: &str, request: &str| {
+        let type_name = match name {
+            "change_state" => "lifecycle_msgs/srv/ChangeState",
+            "get_available_states" => "lifecycle_msgs/srv/GetAvailableStates",
+            "get_available_transitions" => "lifecycle_msgs/srv/GetAvailableTransitions",
+            _ => "lifecycle_msgs/srv/GetState",
+        };
+        rig.call(&format!("/robot/painter/{name}"), type_name, request)
+    };
+    let state = || lifecycle("get_state", "{}")["current_state"]["label"].clone();
+    assert_eq!(state(), "unconfigured");
+    let states = lifecycle("get_available_states", "{}");
+    assert_eq!(states["available_states"].as_array().unwrap().len(), 4);
+    for (id, success, label) in [
+        (3, false, "unconfigured"),
+        (1, true, "inactive"),
+        (3, true, "active"),
+    ] {
+        let request = format!(r#"{{"transition": {{"id": {id}}}}}"#);
+        assert_eq!(lifecycle("change_state", &request)["success"], success);
+        assert_eq!(state(), label);
+    }
+    let transitions = lifecycle("get_available_transitions", "{}");
+    let first = &transitions["available_transitions"][0]["transition"];
+    assert_eq!(first["label"], "deactivate");
+
+    let of = |name: &str, type_name: &str, request: &str| {
+        rig.call(
+            &format!("/robot/painter/{name}"),
+            &format!("rcl_interfaces/srv/{type_name}"),
+            request,
+        )
+    };
+    let names = r#"{"names": ["paint_period", "image_transport", "photometric.max_turn_rad"]}"#;
+    let described = of("describe_parameters", "DescribeParameters", names);
+    let descriptors = described["descriptors"].as_array().unwrap();
+    assert_eq!(descriptors[1]["read_only"], true);
+    assert_eq!(descriptors[2]["floating_point_range"][0]["to_value"], 0.5);
+    let values = of("get_parameters", "GetParameters", names);
+    assert_eq!(values["values"][1]["string_value"], "auto");
+    let listed = of("list_parameters", "ListParameters", "{}");
+    let listed = listed["result"]["names"].as_array().unwrap();
+    assert!(listed.contains(&Value::from("texinit.mode")));
+    let set = rig
+        .peer(&["set", "/robot/painter", "paint_period=2.5", "paint_period=-1.0", "image_transport=raw"])
+        .next();
+    let results = set["results"].as_array().unwrap();
+    assert_eq!(results[0]["successful"], true, "{set}");
+    assert_eq!(results[1]["successful"], false, "{set}");
+    assert!(results[1]["reason"].as_str().unwrap().contains("0 ..= 3600"));
+    assert!(results[2]["reason"].as_str().unwrap().contains("fixed"));
+    let values = of("get_parameters", "GetParameters", names);
+    assert_eq!(values["values"][0]["double_value"], 2.5);
+
+    assert_eq!(trigger("pause")["success"], true);
+    assert_eq!(trigger("resume")["success"], true);
+    let painted = trigger("retexture");
+    assert_eq!(painted["success"], false);
+    let words = painted["message"].as_str().unwrap();
+    assert!(words.contains("no mesh has come"), "{words}");
+    assert_eq!(trigger("reset")["success"], true);
+
+    let graph = rig
+        .peer(&["graph", "painter", "--namespace", "/robot", "--subscriptions", "/tf"])
+        .next();
+    assert!(graph["subscriptions"]["/robot/rgb/camera_info"].is_array(), "{graph}");
+    assert!(graph["publishers"]["/robot/painter/markers"].is_array(), "{graph}");
+    assert!(graph["services"]["/robot/painter/save"].is_array(), "{graph}");
+    assert!(node.is_running());
+}
+
+#[test]
+fn garbage_and_wrong_types_are_told_and_harm_nothing() {
+    let Some(rig) = Rig::new() else { return };
+    let dir = tempfile::tempdir().unwrap();
+    let mut node = rig.node(dir.path(), &POSE_ARGS);
+    let mut garbage = rig.peer(&[
+        "publish",
+        "/rgb/image/compressed",
+        "sensor_msgs/msg/CompressedImage",
+        "00010000",
+        "00010000ffffffffffffffffffffffff",
+        "0007000000000000",
+        "0001000000000000000000000100000000000000ffffff7f00",
+    ]);
+    assert_eq!(garbage.next()["matched"], true);
+    assert_eq!(garbage.next()["sent"], 4);
+    let mut wrong = rig.peer(&[
+        "publish",
+        "/mesh",
+        "sensor_msgs/msg/Image",
+        "--wait",
+        "0",
+        "00010000",
+    ]);
+    wrong.next();
+    let seen = wait_until(&rig, "told", |seen| {
+        seen.number("inputs", "/rgb/image/compressed taken") == 4
+            && seen.message("synchronisation").contains("refused")
+            && seen.message("network").contains("sensor_msgs/msg/Image")
+    });
+    assert!(seen.message("synchronisation").contains("/rgb/image/compressed"));
+    assert!(seen.message("network").contains("/mesh"), "{seen:?}");
+    assert!(node.is_running());
+    drop((garbage, wrong));
+}
+
+#[test]
+fn a_frozen_reader_costs_bounded_memory_and_no_one_else() {
+    let Some(rig) = Rig::new() else { return };
+    let dir = tempfile::tempdir().unwrap();
+    let bag = small_tabletop(dir.path(), &[]);
+    let args = [&POSE_ARGS[..], &["-p", "publish.depth:=20"]].concat();
+    let mut node = rig.node(dir.path(), &args);
+    let topic = "/veneer/markers=visualization_msgs/msg/MarkerArray";
+    let mut frozen = rig.peer(&["listen", topic]);
+    assert_eq!(frozen.next()["listening"], true);
+    let mut awake = rig.peer(&["listen", "/veneer/keyframes=geometry_msgs/msg/PoseArray"]);
+    assert_eq!(awake.next()["listening"], true);
+    std::thread::sleep(Duration::from_secs(1));
+    send_signal(frozen.pid(), "STOP");
+    let mut player = rig.peer(&["play", bag.to_str().unwrap()]);
+    assert_eq!(player.next()["matched"], true);
+    player.next();
+    wait_until(&rig, "painted", is_settled);
+    // Each painting anew is a new whole for the markers.
+    let mut peak = 0;
+    for _ in 0..6 {
+        let done = rig.call("/veneer/retexture", "std_srvs/srv/Trigger", "{}");
+        assert_eq!(done["success"], true);
+        let seen = rig.diagnostics();
+        peak = peak.max(seen.number("process", "memory_bytes"));
+    }
+    assert!(peak < 400_000_000, "{peak} bytes");
+    let counts = awake.stop()["counts"].clone();
+    let num = counts["/veneer/keyframes"]["num"].as_u64().unwrap();
+    assert!(num > 0, "{counts}");
+    assert!(node.is_running());
+    send_signal(frozen.pid(), "CONT");
+}

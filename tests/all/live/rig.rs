@@ -1,0 +1,253 @@
+//! A live node, its real ROS 2 peers, and a domain of their own on 127.0.0.1.
+
+use std::fs::File;
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Child, ChildStdin, Command, Stdio};
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
+use std::time::{Duration, Instant};
+
+use serde_json::Value;
+
+use crate::python;
+
+/// What rclpy is made of, and what reads bags.
+const PACKAGES: [&str; 16] = [
+    "ros-jazzy-rclpy",
+    "ros-jazzy-rmw-fastrtps-cpp",
+    "ros-jazzy-sensor-msgs",
+    "ros-jazzy-visualization-msgs",
+    "ros-jazzy-std-srvs",
+    "ros-jazzy-nav-msgs",
+    "ros-jazzy-shape-msgs",
+    "ros-jazzy-geometry-msgs",
+    "ros-jazzy-diagnostic-msgs",
+    "ros-jazzy-lifecycle-msgs",
+    "ros-jazzy-rosgraph-msgs",
+    "ros-jazzy-rcl-interfaces",
+    "numpy",
+    "mcap",
+    "mcap-ros2-support==0.6.0",
+    "lz4",
+];
+
+/// Tests of several processes run at once; each test takes a domain that others hardly take.
+fn free_domain() -> u16 {
+    static NEXT: AtomicU32 = AtomicU32::new(0);
+    let number = std::process::id() * 7 + NEXT.fetch_add(1, Ordering::Relaxed);
+    u16::try_from(100 + number % 130).unwrap()
+}
+
+/// A domain on this host, and an interpreter with rclpy.
+pub(crate) struct Rig {
+    python: PathBuf,
+    pub(crate) domain: u16,
+}
+
+impl Rig {
+    /// `None`, said aloud, where pip cannot reach the packages.
+    pub(crate) fn new() -> Option<Self> {
+        Some(Self {
+            python: python::venv("jazzy-live", &PACKAGES)?,
+            domain: free_domain(),
+        })
+    }
+
+    fn with_environment(&self, command: &mut Command) {
+        command
+            .env("ROS_DOMAIN_ID", self.domain.to_string())
+            .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+            .env_remove("ROS_LOCALHOST_ONLY")
+            .env_remove("ROS_STATIC_PEERS");
+    }
+
+    /// `veneer node --ros-args ARGS…`; its log goes to `dir`.
+    pub(crate) fn node(&self, dir: &Path, args: &[&str]) -> LiveNode {
+        let log = dir.join("node.log");
+        let mut command = Command::new(env!("CARGO_BIN_EXE_veneer"));
+        self.with_environment(&mut command);
+        command
+            .args(["node", "--ros-args"])
+            .args(args)
+            .current_dir(dir)
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(File::create(&log).unwrap());
+        LiveNode {
+            child: Some(command.spawn().unwrap()),
+            log,
+        }
+    }
+
+    /// A peer of `live_peer.py`.
+    pub(crate) fn peer(&self, args: &[&str]) -> Peer {
+        let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/all/live_peer.py");
+        let mut command = Command::new(&self.python);
+        self.with_environment(&mut command);
+        let mut child = command
+            .arg(script)
+            .args(args)
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::inherit())
+            .spawn()
+            .unwrap();
+        let stdout = BufReader::new(child.stdout.take().unwrap());
+        let (sender, lines) = channel();
+        std::thread::spawn(move || {
+            for line in stdout.lines().map_while(Result::ok) {
+                if sender.send(line).is_err() {
+                    break;
+                }
+            }
+        });
+        Peer {
+            stdin: child.stdin.take(),
+            child,
+            lines,
+        }
+    }
+
+    /// Calls a service and gives its response.
+    pub(crate) fn call(&self, service: &str, type_name: &str, request: &str) -> Value {
+        let said = self.peer(&["call", service, type_name, request]).next();
+        said.get("response")
+            .unwrap_or_else(|| panic!("{service}: {said}"))
+            .clone()
+    }
+
+    /// The next diagnostics: for each part its level, message and values.
+    pub(crate) fn diagnostics(&self) -> Diagnostics {
+        let args = [
+            "take",
+            "/diagnostics",
+            "diagnostic_msgs/msg/DiagnosticArray",
+        ];
+        let said = self.peer(&args).next();
+        Diagnostics(said["messages"][0]["status"].clone())
+    }
+}
+
+/// One message of `/diagnostics`.
+#[derive(Debug)]
+pub(crate) struct Diagnostics(Value);
+
+impl Diagnostics {
+    fn part(&self, part: &str) -> Option<&Value> {
+        let mut parts = self.0.as_array()?.iter();
+        parts.find(|status| status["name"].as_str().unwrap().ends_with(part))
+    }
+
+    pub(crate) fn message(&self, part: &str) -> String {
+        let found = self.part(part);
+        found.map_or_else(String::new, |s| s["message"].as_str().unwrap().to_owned())
+    }
+
+    pub(crate) fn value(&self, part: &str, key: &str) -> Option<String> {
+        let values = self.part(part)?["values"].as_array()?;
+        let found = values.iter().find(|value| value["key"] == key)?;
+        Some(found["value"].as_str()?.to_owned())
+    }
+
+    pub(crate) fn number(&self, part: &str, key: &str) -> u64 {
+        let value = self.value(part, key);
+        value.map_or(0, |text| text.parse().unwrap())
+    }
+}
+
+/// A running `veneer node`.
+pub(crate) struct LiveNode {
+    child: Option<Child>,
+    log: PathBuf,
+}
+
+impl LiveNode {
+    pub(crate) fn pid(&self) -> u32 {
+        self.child.as_ref().unwrap().id()
+    }
+
+    pub(crate) fn is_running(&mut self) -> bool {
+        let child = self.child.as_mut().unwrap();
+        child.try_wait().unwrap().is_none()
+    }
+
+    pub(crate) fn log(&self) -> String {
+        std::fs::read_to_string(&self.log).unwrap()
+    }
+
+    /// Sends a signal and waits for the end: whether it was a success, and how long it took.
+    pub(crate) fn end(mut self, signal: &str) -> (bool, Duration) {
+        let mut child = self.child.take().unwrap();
+        let begun = Instant::now();
+        send_signal(child.id(), signal);
+        while begun.elapsed() < Duration::from_secs(20) {
+            if let Some(status) = child.try_wait().unwrap() {
+                return (status.success(), begun.elapsed());
+            }
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        child.kill().unwrap();
+        child.wait().unwrap();
+        panic!("the node did not end:\n{}", self.log());
+    }
+}
+
+impl Drop for LiveNode {
+    fn drop(&mut self) {
+        if let Some(mut child) = self.child.take() {
+            child.kill().ok();
+            child.wait().ok();
+            if std::thread::panicking() {
+                eprintln!("{}", self.log());
+            }
+        }
+    }
+}
+
+/// Sends a signal by the system's own command.
+pub(crate) fn send_signal(pid: u32, signal: &str) {
+    let status = Command::new("kill")
+        .args([format!("-{signal}"), pid.to_string()])
+        .status();
+    assert!(status.unwrap().success(), "kill -{signal} {pid}");
+}
+
+/// A Python process that says JSON.
+pub(crate) struct Peer {
+    child: Child,
+    stdin: Option<ChildStdin>,
+    lines: Receiver<String>,
+}
+
+impl Peer {
+    pub(crate) fn pid(&self) -> u32 {
+        self.child.id()
+    }
+
+    /// What it says next.
+    pub(crate) fn next(&mut self) -> Value {
+        match self.lines.recv_timeout(Duration::from_secs(60)) {
+            Ok(line) => serde_json::from_str(&line).unwrap(),
+            Err(RecvTimeoutError::Timeout) => panic!("a peer says nothing"),
+            Err(RecvTimeoutError::Disconnected) => panic!("a peer ended without a word"),
+        }
+    }
+
+    /// Tells it to stop, and gives the last thing it says.
+    pub(crate) fn stop(mut self) -> Value {
+        self.stdin = None;
+        let mut last = Value::Null;
+        while let Ok(line) = self.lines.recv_timeout(Duration::from_secs(20)) {
+            last = serde_json::from_str(&line).unwrap();
+        }
+        last
+    }
+}
+
+impl Drop for Peer {
+    fn drop(&mut self) {
+        self.child.kill().ok();
+        self.child.wait().ok();
+    }
+}

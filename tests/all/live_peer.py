@@ -1,0 +1,375 @@
+"""Real ROS 2 peers (rclpy) for the live node's tests. Each command prints one JSON object a line.
+
+play BAG         publishes a bag's messages, byte for byte, at their pace; the mesh as shape_msgs/Mesh
+listen TOPIC=TYPE …  receives until stdin closes, then says how many and how large
+call SERVICE TYPE JSON  calls a service and prints its response
+set NODE NAME=VALUE …  sets parameters
+take TOPIC TYPE  prints messages
+publish TOPIC TYPE HEX …  sends bytes, whatever they hold
+graph NODE       what the graph shows of a node
+"""
+
+import argparse
+import array
+import json
+import struct
+import sys
+import threading
+import time
+
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import (
+    DurabilityPolicy,
+    HistoryPolicy,
+    QoSProfile,
+    ReliabilityPolicy,
+)
+from rclpy.serialization import serialize_message
+
+
+def say(**words):
+    print(json.dumps(words), flush=True)
+
+
+def message_type(name):
+    import importlib
+
+    package, kind, last = name.split("/")
+    return getattr(importlib.import_module(f"{package}.{kind}"), last)
+
+
+def qos(reliable, depth=10, latched=False):
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=depth,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+    )
+
+
+def shape_mesh(data):
+    """mesh_msgs/MeshGeometryStamped as shape_msgs/Mesh: the same numbers."""
+    from geometry_msgs.msg import Point
+    from shape_msgs.msg import Mesh, MeshTriangle
+
+    at = 4
+
+    def align(size):
+        nonlocal at
+        at = 4 + (at - 4 + size - 1) // size * size
+
+    def u32():
+        nonlocal at
+        align(4)
+        (value,) = struct.unpack_from("<I", data, at)
+        at += 4
+        return value
+
+    def skip_string():
+        nonlocal at
+        length = u32()
+        at += length
+
+    u32(), u32()
+    skip_string()  # frame_id
+    skip_string()  # uuid
+    vertices = []
+    for _ in range(u32()):
+        align(8)
+        x, y, z = struct.unpack_from("<3d", data, at)
+        at += 24
+        vertices.append(Point(x=x, y=y, z=z))
+    u32_count = u32()
+    if u32_count:  # normals
+        align(8)
+        at += 24 * u32_count
+    triangles = []
+    for _ in range(u32()):
+        triangles.append(
+            MeshTriangle(vertex_indices=array.array("I", struct.unpack_from("<3I", data, at)))
+        )
+        at += 12
+    return Mesh(vertices=vertices, triangles=triangles)
+
+
+def read_bag(path):
+    from mcap.reader import make_reader
+
+    with open(path, "rb") as file:
+        for schema, channel, message in make_reader(file).iter_messages():
+            yield message.log_time, channel.topic, schema.name, bytes(message.data)
+
+
+TOPICS = {
+    "/camera/color/image_raw": "/rgb/image",
+    "/camera/color/image_raw/compressed": "/rgb/image/compressed",
+    "/camera/depth/image_raw": "/depth/image",
+    "/camera/depth/image_raw/compressedDepth": "/depth/image/compressedDepth",
+    "/camera/color/camera_info": "/rgb/camera_info",
+    "/camera/depth/camera_info": "/depth/camera_info",
+    "/camera/pose": "/pose",
+    "/mesh": "/mesh",
+}
+
+
+def play(args):
+    node = rclpy.create_node("player")
+    messages = []
+    publishers = {}
+    for stamp, topic, type_name, data in read_bag(args.bag):
+        if topic not in TOPICS:
+            continue
+        if type_name == "mesh_msgs/msg/MeshGeometryStamped":
+            type_name, data = "shape_msgs/msg/Mesh", serialize_message(shape_mesh(data))
+        topic = TOPICS[topic]
+        if topic not in publishers:
+            publishers[topic] = node.create_publisher(
+                message_type(type_name), topic, qos(True, 100)
+            )
+        messages.append((stamp, topic, data))
+    clock = None
+    if args.clock:
+        from rosgraph_msgs.msg import Clock
+
+        clock = node.create_publisher(Clock, "/clock", qos(True, 100))
+    deadline = time.monotonic() + args.wait
+    wanted = set(publishers) - set(args.optional)
+    while time.monotonic() < deadline:
+        missing = [t for t in wanted if publishers[t].get_subscription_count() == 0]
+        if not missing and (clock is None or clock.get_subscription_count() > 0):
+            break
+        rclpy.spin_once(node, timeout_sec=0.05)
+    say(matched=not missing, missing=missing)
+    time.sleep(0.5)
+    sent = dict.fromkeys(publishers, 0)
+    begun = time.monotonic()
+    first = messages[0][0] if messages else 0
+    last_clock = None
+    for stamp, topic, data in messages:
+        due = begun + (stamp - first) * 1e-9 / args.rate
+        while (left := due - time.monotonic()) > 0:
+            time.sleep(min(left, 0.02))
+        if clock is not None and stamp != last_clock:
+            last_clock = stamp
+            message = Clock()
+            message.clock.sec, message.clock.nanosec = divmod(stamp, 10**9)
+            clock.publish(message)
+            time.sleep(0.002)
+        publishers[topic].publish(data)
+        sent[topic] += 1
+    say(sent=sent, seconds=time.monotonic() - begun)
+    # Reliable messages may still have to be sent again.
+    sys.stdin.read()
+    node.destroy_node()
+
+
+def listen(args):
+    node = rclpy.create_node("listener")
+    counts = {}
+
+    def note(topic):
+        counts[topic] = {"num": 0, "max_bytes": 0, "bytes": 0}
+
+        def take(data):
+            entry = counts[topic]
+            entry["num"] += 1
+            entry["max_bytes"] = max(entry["max_bytes"], len(data))
+            entry["bytes"] += len(data)
+            if args.dump:
+                with open(f"{args.dump}{topic.replace('/', '_')}", "wb") as file:
+                    file.write(data)
+
+        return take
+
+    for pair in args.topics:
+        topic, type_name = pair.split("=")
+        node.create_subscription(
+            message_type(type_name), topic, note(topic), qos(True, 1000, args.latched), raw=True
+        )
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    stop = threading.Event()
+    threading.Thread(target=lambda: (sys.stdin.read(), stop.set()), daemon=True).start()
+    say(listening=True)
+    last = None
+    while not stop.is_set():
+        executor.spin_once(timeout_sec=0.05)
+        now = json.dumps(counts)
+        if now != last and args.chatty:
+            last = now
+            say(counts=counts)
+    say(counts=counts)
+    node.destroy_node()
+
+
+def to_dict(message):
+    if hasattr(message, "get_fields_and_field_types"):
+        return {
+            name: to_dict(getattr(message, name)) for name in message.get_fields_and_field_types()
+        }
+    if isinstance(message, (list, tuple, array.array)):
+        return [to_dict(element) for element in message]
+    if isinstance(message, bytes):
+        return list(message)
+    if hasattr(message, "tolist"):
+        return message.tolist()
+    return message
+
+
+def fill(message, values):
+    for name, value in values.items():
+        current = getattr(message, name)
+        if hasattr(current, "get_fields_and_field_types") and isinstance(value, dict):
+            fill(current, value)
+        else:
+            setattr(message, name, value)
+    return message
+
+
+def call(args):
+    node = rclpy.create_node("caller")
+    service_type = message_type(args.type)
+    client = node.create_client(service_type, args.service)
+    if not client.wait_for_service(timeout_sec=args.wait):
+        say(error="no such service")
+        return
+    begun = time.monotonic()
+    future = client.call_async(fill(service_type.Request(), json.loads(args.request)))
+    rclpy.spin_until_future_complete(node, future, timeout_sec=args.wait)
+    if future.result() is None:
+        say(error="no response")
+        return
+    say(response=to_dict(future.result()), seconds=time.monotonic() - begun)
+
+
+def set_parameters(args):
+    """Sets NAME=VALUE … one by one, in one request."""
+    from rcl_interfaces.msg import Parameter
+    from rcl_interfaces.srv import SetParameters
+    from rclpy.parameter import Parameter as Value
+
+    node = rclpy.create_node("setter")
+    client = node.create_client(SetParameters, f"{args.node}/set_parameters")
+    if not client.wait_for_service(timeout_sec=args.wait):
+        say(error="no such service")
+        return
+    request = SetParameters.Request()
+    for pair in args.pairs:
+        name, text = pair.split("=")
+        try:
+            value = json.loads(text)
+        except ValueError:
+            value = text
+        request.parameters.append(
+            Parameter(name=name, value=Value(name, value=value).get_parameter_value())
+        )
+    future = client.call_async(request)
+    rclpy.spin_until_future_complete(node, future, timeout_sec=args.wait)
+    say(results=[to_dict(result) for result in future.result().results])
+
+
+def take(args):
+    """The next messages of a topic, as JSON."""
+    node = rclpy.create_node("taker")
+    taken = []
+    node.create_subscription(
+        message_type(args.type), args.topic, taken.append, qos(True, 100, args.latched)
+    )
+    deadline = time.monotonic() + args.wait
+    while len(taken) < args.num and time.monotonic() < deadline:
+        rclpy.spin_once(node, timeout_sec=0.05)
+    say(messages=[to_dict(message) for message in taken[: args.num]])
+
+
+def publish(args):
+    """Sends bytes as messages of a type, whatever they hold."""
+    node = rclpy.create_node("publisher")
+    publisher = node.create_publisher(message_type(args.type), args.topic, qos(True, 100))
+    deadline = time.monotonic() + args.wait
+    while publisher.get_subscription_count() == 0 and time.monotonic() < deadline:
+        rclpy.spin_once(node, timeout_sec=0.05)
+    say(matched=publisher.get_subscription_count() > 0)
+    for data in args.hex:
+        publisher.publish(bytes.fromhex(data))
+        time.sleep(0.05)
+    say(sent=len(args.hex))
+    sys.stdin.read()
+
+
+def graph(args):
+    """What the graph shows of a node."""
+    node = rclpy.create_node("observer")
+    deadline = time.monotonic() + args.wait
+    name, namespace = args.name, args.namespace
+    found = {}
+    while time.monotonic() < deadline:
+        rclpy.spin_once(node, timeout_sec=0.2)
+        if (name, namespace) not in node.get_node_names_and_namespaces():
+            continue
+        pairs = node.get_subscriber_names_and_types_by_node(name, namespace)
+        found = {
+            "subscriptions": dict(pairs),
+            "publishers": dict(node.get_publisher_names_and_types_by_node(name, namespace)),
+            "services": dict(node.get_service_names_and_types_by_node(name, namespace)),
+        }
+        if all(topic in found["subscriptions"] for topic in args.subscriptions):
+            break
+    say(**found)
+
+
+def main():
+    parser = argparse.ArgumentParser()
+    commands = parser.add_subparsers(dest="command", required=True)
+    one = commands.add_parser("play")
+    one.add_argument("bag")
+    one.add_argument("--rate", type=float, default=1.0)
+    one.add_argument("--clock", action="store_true")
+    one.add_argument("--wait", type=float, default=15.0)
+    one.add_argument("--optional", nargs="*", default=[])
+    one = commands.add_parser("listen")
+    one.add_argument("topics", nargs="+")
+    one.add_argument("--latched", action="store_true")
+    one.add_argument("--chatty", action="store_true")
+    one.add_argument("--dump")
+    one = commands.add_parser("call")
+    one.add_argument("service")
+    one.add_argument("type")
+    one.add_argument("request", nargs="?", default="{}")
+    one.add_argument("--wait", type=float, default=10.0)
+    one = commands.add_parser("take")
+    one.add_argument("topic")
+    one.add_argument("type")
+    one.add_argument("--num", type=int, default=1)
+    one.add_argument("--wait", type=float, default=10.0)
+    one.add_argument("--latched", action="store_true")
+    one = commands.add_parser("publish")
+    one.add_argument("topic")
+    one.add_argument("type")
+    one.add_argument("hex", nargs="+")
+    one.add_argument("--wait", type=float, default=10.0)
+    one = commands.add_parser("graph")
+    one.add_argument("name")
+    one.add_argument("--namespace", default="/")
+    one.add_argument("--wait", type=float, default=10.0)
+    one.add_argument("--subscriptions", nargs="*", default=[])
+    one = commands.add_parser("set")
+    one.add_argument("node")
+    one.add_argument("pairs", nargs="+")
+    one.add_argument("--wait", type=float, default=10.0)
+    args = parser.parse_args()
+    rclpy.init()
+    {
+        "play": play,
+        "listen": listen,
+        "call": call,
+        "take": take,
+        "publish": publish,
+        "graph": graph,
+        "set": set_parameters,
+    }[args.command](args)
+    rclpy.try_shutdown()
+
+
+main()
