@@ -127,6 +127,17 @@ fn variables(text: &str) -> Vec<&str> {
     parts.map(|part| part.split_once(')').unwrap().0).collect()
 }
 
+/// The text with the defaults of the file's arguments.
+fn resolved(launch: &Element, text: &str) -> String {
+    let mut resolved = text.to_owned();
+    for argument in launch.children.iter().filter(|child| child.name == "arg") {
+        let variable = format!("$(var {})", argument.get("name"));
+        resolved = resolved.replace(&variable, argument.get("default"));
+    }
+    assert!(!resolved.contains("$(var "), "{resolved}");
+    resolved
+}
+
 fn launch_file(name: &str) -> Element {
     let text = std::fs::read_to_string(folder().join(name)).unwrap();
     let launch = parse_xml(&text);
@@ -219,7 +230,7 @@ fn launch_files_start_veneer_with_topics_and_parameters_that_it_knows() {
             .filter(|param| param.attributes.contains_key("name"))
         {
             let (parameter, value) = (param.get("name"), param.get("value"));
-            let value = value.replace("$(var map_frame)", "map");
+            let value = resolved(&launch, value);
             config
                 .set(parameter, &value)
                 .unwrap_or_else(|error| panic!("{name}: {error}"));
