@@ -541,7 +541,7 @@ fn decode_tile(
 
 /// The texel coordinate whose share of the page's side is exactly `share`. Division rounds, so that
 /// the product may be a neighbour of it.
-fn texel_of(share: f32, side_texel: u32) -> f32 {
+pub(super) fn texel_of(share: f32, side_texel: u32) -> f32 {
     let side = side_texel as f32;
     let near = share * side;
     let candidates = [

@@ -94,6 +94,65 @@ impl Rviz {
     }
 }
 
+/// The four texels around a coordinate, mixed as a graphics card does.
+fn bilinear(texel: impl Fn(u32, u32) -> [u8; 3], size: [u32; 2], [u, v]: [f32; 2]) -> [f32; 3] {
+    let axis = |share: f32, side: u32| {
+        let at = (share * side as f32 - 0.5).clamp(0.0, side as f32 - 1.0);
+        (at as u32, (at as u32 + 1).min(side - 1), at.fract())
+    };
+    let ((x0, x1, fx), (y0, y1, fy)) = (axis(u, size[0]), axis(v, size[1]));
+    let (a, b, c, d) = (texel(x0, y0), texel(x1, y0), texel(x0, y1), texel(x1, y1));
+    [0, 1, 2].map(|i| {
+        let [a, b, c, d] = [a, b, c, d].map(|color| f32::from(color[i]));
+        (a * (1.0 - fx) + b * fx) * (1.0 - fy) + (c * (1.0 - fx) + d * fx) * fy
+    })
+}
+
+#[test]
+fn a_piece_holds_the_texels_that_filtering_reaches() {
+    let made = Scan::new(28).made();
+    let outgoing = Publisher::new(exact(20_000, 1000))
+        .publish(&made.snapshot(1), &only(OutputTopic::Markers))
+        .unwrap();
+    let mut expected: BTreeMap<[u64; 3], Vec<[f32; 3]>> = BTreeMap::new();
+    for t in made.mesh.triangle_ids() {
+        let page = &made.texture.pages[made.layout.page_of(t) as usize];
+        let texel = |x: u32, y: u32| page.srgb[(y * page.width + x) as usize];
+        let uvs = made.layout.corners_uv(t);
+        for (corner, uv) in made.mesh.corners_m(t).into_iter().zip(uvs) {
+            let position: [f64; 3] = corner.into();
+            let color = bilinear(texel, [page.width, page.height], uv);
+            expected
+                .entry(position.map(f64::to_bits))
+                .or_default()
+                .push(color);
+        }
+    }
+    let mut num_corners = 0;
+    for message in messages_of(&outgoing, OutputTopic::Markers) {
+        for marker in MarkerArray::decode(message).unwrap().markers {
+            if marker.action != marker::ADD {
+                continue;
+            }
+            let texture = image::load_from_memory(&marker.tail.texture.data)
+                .unwrap()
+                .into_rgb8();
+            let size = [texture.width(), texture.height()];
+            for (point, uv) in marker.points.iter().zip(&marker.tail.uv_coordinates) {
+                let color = bilinear(|x, y| texture.get_pixel(x, y).0, size, *uv);
+                let is_near = |other: &[f32; 3]| (0..3).all(|i| (other[i] - color[i]).abs() < 1.0);
+                let colors = &expected[&point.map(f64::to_bits)];
+                assert!(
+                    colors.iter().any(is_near),
+                    "{color:?} is none of {colors:?}"
+                );
+                num_corners += 1;
+            }
+        }
+    }
+    assert_eq!(num_corners, 3 * made.mesh.num_triangles());
+}
+
 fn sort(shown: &mut [Shown]) {
     shown.sort_by(|a, b| {
         let key = |s: &Shown| s.0.map(|p| p.map(|c| (c * 1e6).round() as i64));
@@ -203,7 +262,7 @@ fn a_small_change_sends_few_markers() {
 #[test]
 fn a_piece_goes_in_the_message_in_which_another_takes_its_place() {
     let mut scan = Scan::new(27);
-    let mut publisher = Publisher::new(exact(60_000, 1000));
+    let mut publisher = Publisher::new(exact(12_000, 1000));
     publisher
         .publish(&scan.made().snapshot(1), &everything)
         .unwrap();
