@@ -69,7 +69,7 @@ proptest! {
         seed in any::<u64>(),
         max_message_bytes in prop_oneof![Just(8192usize), 9000usize..40_000, Just(190_000)],
         tile_texel in 16u32..200,
-        history_messages in 1usize..200,
+        history_messages in prop_oneof![4 => 1usize..40, 1 => 40usize..200],
     ) {
         let params = PublishParams { max_message_bytes, tile_texel, history_messages, ..PublishParams::default() };
         let mut publisher = Publisher::new(params);
