@@ -16,9 +16,10 @@ use crate::wire::log::Log;
 use super::clock::RosClock;
 use super::control::Control;
 use super::engine::{Engine, Shared};
-use super::env::Network;
+use super::env::{Network, Security};
 use super::error::NodeError;
 use super::graph::{self, EntityList};
+use super::http;
 use super::inbox::Inbox;
 use super::inputs::{self, Chooser, Input};
 use super::lifecycle::Transition;
@@ -45,6 +46,8 @@ pub struct NodeSetup {
     pub names: NameResolver,
     /// Whom it can hear.
     pub network: Network,
+    /// Who it is among secured peers, where security is asked for.
+    pub security: Option<Security>,
     /// What goes to `/rosout`; `None`: nothing.
     pub log_lines: Option<LogLines>,
 }
@@ -85,6 +88,9 @@ impl Running {
         let session = u64::try_from(RosClock::new(false).now().as_nanos()).unwrap_or(0);
         let shared = Arc::new(Shared::new(config.clone(), Arc::clone(&inbox), session));
         let engine = Engine::start(Arc::clone(&shared), &inputs)?;
+        if let Some(address) = http::start(&shared)? {
+            tracing::info!("serves the scan on http://{address}/scan.glb");
+        }
         let receiving = Receiving::start(
             &context,
             Arc::clone(&entities),
@@ -240,7 +246,7 @@ impl Running {
 }
 
 fn make_node(setup: &NodeSetup) -> Result<(Context, Node), NodeError> {
-    let participant = transport::participant(&setup.network)?;
+    let participant = transport::participant(&setup.network, setup.security.as_ref())?;
     let context = Context::from_domain_participant(participant)
         .map_err(|e| NodeError::dds("the ROS context", &e))?;
     let identity = setup.names.node();
