@@ -8,6 +8,7 @@
 pub mod node;
 pub mod parameter;
 pub mod params_file;
+mod publish;
 mod smooth;
 pub mod tree;
 
@@ -17,6 +18,7 @@ pub use parameter::{Parameter, ParameterError};
 use crate::bag::TopicRoles;
 use crate::export::ExportParams;
 use crate::pipeline::PipelineParams;
+use crate::publish::PublishParams;
 
 /// Everything that can be set.
 #[derive(Clone, Debug, Default)]
@@ -29,6 +31,8 @@ pub struct Config {
     pub export: ExportParams,
     /// The live node.
     pub node: NodeParams,
+    /// How the result becomes messages.
+    pub publish: PublishParams,
 }
 
 impl Config {

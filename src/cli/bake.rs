@@ -107,6 +107,7 @@ pub(super) fn run(args: &BakeArgs, quiet: bool) -> anyhow::Result<()> {
         begun,
         bag: &args.bag,
         out: &args.out,
+        record: None,
         json: args.json,
         config: &config,
     }

@@ -1,5 +1,6 @@
 //! `veneer replay`: a recording becomes a textured mesh, files and a report.
 
+mod record;
 mod score;
 mod summary;
 
@@ -13,7 +14,7 @@ use super::interrupt;
 use super::print_product;
 use super::progress::TerminalProgress;
 use super::settings::SettingsArgs;
-use crate::bag::BagReader;
+use crate::bag::{BagReader, partial_path};
 use crate::config::Config;
 use crate::export::{self, TexturedMesh};
 use crate::pipeline::{self, Progress, Run};
@@ -30,7 +31,8 @@ Examples:
   veneer replay scan.mcap --out out --params-file veneer.yaml -p export.glb_images:=jpeg
   veneer replay scan.mcap --out out --mode paper
   veneer replay scan.mcap --out out --init l2avg
-  veneer replay scan.mcap --out out -r rgb/image:=/front/image_raw")]
+  veneer replay scan.mcap --out out -r rgb/image:=/front/image_raw
+  veneer replay scan.mcap --out out --record shown.mcap       also what the node would publish")]
 pub(super) struct ReplayArgs {
     /// The recording (.mcap).
     bag: PathBuf,
@@ -47,6 +49,10 @@ pub(super) struct ReplayArgs {
     /// mean over all frames.
     #[arg(long, value_name = "INIT", value_parser = ["assigned", "l2avg"])]
     init: Option<String>,
+
+    /// Write what the node would publish to a bag (.mcap): for rviz2, Foxglove, and programs.
+    #[arg(long, value_name = "OUT.mcap")]
+    record: Option<PathBuf>,
 
     /// Print the report's numbers as JSON to standard output.
     #[arg(long)]
@@ -72,6 +78,7 @@ pub(super) fn run(args: &ReplayArgs, quiet: bool) -> anyhow::Result<()> {
         begun,
         bag: &args.bag,
         out: &args.out,
+        record: args.record.as_deref(),
         json: args.json,
         config: &config,
     };
@@ -83,6 +90,8 @@ pub(super) struct Job<'a> {
     pub(super) begun: Instant,
     pub(super) bag: &'a Path,
     pub(super) out: &'a Path,
+    /// Bag to write what the node would publish to.
+    pub(super) record: Option<&'a Path>,
     /// Whether the report's numbers go to standard output.
     pub(super) json: bool,
     pub(super) config: &'a Config,
@@ -96,8 +105,15 @@ impl Job<'_> {
             .with_context(|| format!("cannot create the output folder {}", self.out.display()))?;
         interrupt::remove_when_interrupted({
             let out = self.out.to_owned();
-            move || export::atomic::partial_files(&out)
+            let recorded = self.record.map(partial_path);
+            move || {
+                let mut files = export::atomic::partial_files(&out);
+                files.extend(recorded.clone());
+                files
+            }
         });
+        // So should an unwritable bag.
+        let recording = self.record.map(record::Recording::create).transpose()?;
         let mut bag = BagReader::open(self.bag, &config.topics)?;
         let mut run = pipeline::run(&mut bag, &config.pipeline, &progress)
             .with_context(|| why_not(self.bag, &bag))?;
@@ -134,6 +150,10 @@ impl Job<'_> {
                 text: text.clone(),
             }));
         report.measure(&textured, &views)?;
+        if let Some(recording) = recording {
+            progress.begin("record what would be published", 0);
+            recording.write(&run, report.coverage.keyframe_share, config)?;
+        }
         report.peak_memory_bytes = summary::peak_memory_bytes();
         // Until here: the page cannot say how long it took to draw itself.
         report.total_s = begun.elapsed().as_secs_f64();

@@ -2,7 +2,7 @@
 
 use super::Config;
 use super::parameter::{Access, Parameter};
-use super::{node, smooth};
+use super::{node, publish, smooth};
 use crate::export::NormalMode;
 use crate::export::pages::PageFormat;
 use crate::ingest::PoseSource;
@@ -326,6 +326,17 @@ pub const PARAMETERS: &[Parameter] = &[
         Access::Custom { range: "1 ..= 100", set: set_jpeg_quality, get: jpeg_quality }),
     row("export.normals", "", "Normals in the GLB: one per vertex, or one per triangle.",
         Choice { words: &["smooth", "flat"], set: set_normals, get: normals }),
+
+    row("publish.block_bytes", "B", "No message published is longer: longer ones do not arrive.",
+        Count(|c| &mut c.publish.max_message_bytes, 8192, 190_000)),
+    row("publish.tile_texel", "texel", "Side of the tiles in which texels are compared and published.",
+        Int(|c| &mut c.publish.tile_texel, 16, 16_384)),
+    row("publish.tiles", "", "How textured_mesh carries texels; png is exact.",
+        Choice { words: &["png", "jpeg"], set: publish::set_tiles, get: publish::tiles }),
+    row("publish.viewer_textures", "", "How markers and scene carry their textures.",
+        Choice { words: &["png", "jpeg"], set: publish::set_viewer_textures, get: publish::viewer_textures }),
+    row("publish.jpeg_quality", "", "Quality of what is published as JPEG; comes after the choice of it.",
+        Access::Custom { range: "1 ..= 100", set: publish::set_jpeg_quality, get: publish::jpeg_quality }),
 ];
 
 fn set_pose_source(config: &mut Config, word: &str) {

@@ -16,7 +16,7 @@ use tiles::Tiles;
 pub(super) struct Blocks {
     /// The last revision that went out; `None` when readers hold nothing.
     base: Option<Base>,
-    charts: Sent,
+    charts: Sent<()>,
     tiles: Tiles,
     num_since_whole: usize,
 }
@@ -127,10 +127,13 @@ impl Blocks {
         params: &PublishParams,
         room: usize,
     ) -> Result<Revision<'static>, PublishError> {
-        let change = self.charts.change(charts::all(textured, room))?;
+        let all = charts::all(textured, room).into_iter();
+        let change = self
+            .charts
+            .change(all.map(|(digest, chart)| (digest, (), chart)).collect())?;
         let charts = change.added.into_iter();
         Ok(Revision {
-            removed_chart_ids: change.removed,
+            removed_chart_ids: change.removed.into_iter().map(|(id, ())| id).collect(),
             charts: charts
                 .map(|(id, chart)| TexturedChart { id, ..chart })
                 .collect(),

@@ -10,7 +10,7 @@ use crate::wire::geometry::WirePose;
 use crate::wire::marker::{self, Marker, MarkerTail};
 use crate::wire::{CompressedImage, MarkerArray, Message};
 
-use super::pieces::{self, Piece, TooLarge};
+use super::pieces::{self, Piece, Place, TooLarge};
 use super::sent::Sent;
 use super::{PublishError, PublishParams, Snapshot};
 
@@ -21,7 +21,7 @@ const NAMESPACE: &str = "veneer";
 #[derive(Debug, Default)]
 pub(super) struct Markers {
     scene: Option<(u64, String)>,
-    sent: Sent,
+    sent: Sent<Place>,
     too_large: TooLarge,
     num_since_whole: usize,
 }
@@ -83,19 +83,26 @@ impl Markers {
                     piece: piece.clone(),
                     file,
                 };
-                let fits = add(snapshot, 0, &built, params.viewer_format).len()
+                let fits = marker(snapshot, 0, &built, params.viewer_format, &[]).len()
                     <= params.max_message_bytes;
                 Ok(fits.then_some(built))
             },
         )?;
-        let change = self.sent.change(cut)?;
-        let mut messages = deletions(snapshot, &change.removed, params)?;
-        for (name, built) in change.added {
-            // A piece that was known is no longer sent under that name only if it was doubled.
-            if let Some(built) = built {
-                let message = add(snapshot, name, &built, params.viewer_format);
-                messages.push(params.checked("a marker", message)?);
+        let change = self.sent.change(pieces::placed(cut))?;
+        let mut messages = Vec::new();
+        for step in pieces::in_steps(change) {
+            let Some((name, built)) = step.added else {
+                messages.extend(deletions(snapshot, &step.removed, params)?);
+                continue;
+            };
+            let added = marker(snapshot, name, &built, params.viewer_format, &step.removed);
+            if added.len() <= params.max_message_bytes {
+                messages.push(added);
+                continue;
             }
+            messages.extend(deletions(snapshot, &step.removed, params)?);
+            let added = marker(snapshot, name, &built, params.viewer_format, &[]);
+            messages.push(params.checked("a marker", added)?);
         }
         Ok(messages)
     }
@@ -124,6 +131,10 @@ fn delete_all(snapshot: &Snapshot<'_>) -> Vec<u8> {
     MarkerArray { markers }.encode()
 }
 
+fn deletion<'a>(snapshot: &Snapshot<'a>, name: u32) -> Marker<'a> {
+    blank(snapshot, name.cast_signed(), marker::DELETE)
+}
+
 /// Deletions of the markers of these names, as many in a message as it holds.
 fn deletions(
     snapshot: &Snapshot<'_>,
@@ -134,11 +145,8 @@ fn deletions(
     let one = delete_all(snapshot).len() + 8;
     let per_message = (params.max_message_bytes / one).max(1);
     let messages = names.chunks(per_message).map(|names| {
-        let markers = names.iter();
         let array = MarkerArray {
-            markers: markers
-                .map(|name| blank(snapshot, name.cast_signed(), marker::DELETE))
-                .collect(),
+            markers: names.iter().map(|&n| deletion(snapshot, n)).collect(),
         };
         params.checked("a marker", array.encode())
     });
@@ -161,14 +169,21 @@ fn origin_m(piece: &Piece) -> [f64; 3] {
     }
 }
 
-fn add(snapshot: &Snapshot<'_>, name: u32, built: &Textured, format: PageFormat) -> Vec<u8> {
+/// A piece as a marker, after the deletion of others.
+fn marker(
+    snapshot: &Snapshot<'_>,
+    name: u32,
+    built: &Textured,
+    format: PageFormat,
+    removed: &[u32],
+) -> Vec<u8> {
     let Textured { piece, file } = built;
     let origin_m = origin_m(piece);
     let relative = |[x, y, z]: [f64; 3]| [x - origin_m[0], y - origin_m[1], z - origin_m[2]];
     let triangles = || piece.triangles.iter();
     // Textures of one name share their picture, across all of rviz2.
     let resource = format!("embedded://veneer_{:016x}_{name:010}", snapshot.session);
-    let marker = Marker {
+    let added = Marker {
         pose: WirePose {
             position_m: origin_m,
             ..WirePose::IDENTITY
@@ -193,8 +208,7 @@ fn add(snapshot: &Snapshot<'_>, name: u32, built: &Textured, format: PageFormat)
         },
         ..blank(snapshot, name.cast_signed(), marker::ADD)
     };
-    MarkerArray {
-        markers: vec![marker],
-    }
-    .encode()
+    let mut markers: Vec<Marker<'_>> = removed.iter().map(|&n| deletion(snapshot, n)).collect();
+    markers.push(added);
+    MarkerArray { markers }.encode()
 }

@@ -51,7 +51,7 @@ pub fn mesh_pieces(
         &mut TooLarge::default(),
         &|_| false,
     )?;
-    Ok(cut.into_iter().filter_map(|(_, piece)| piece).collect())
+    Ok(cut.into_iter().filter_map(|(_, _, piece)| piece).collect())
 }
 
 impl MeshPiece {
@@ -303,7 +303,7 @@ impl Meshes {
             snapshot.frame_id.clone_into(&mut self.frame_id);
         }
         let mut cut = self.cut_unknown(snapshot, textured, params, [geometry, materials])?;
-        let num_built = cut.iter().filter(|(_, piece)| piece.is_some()).count();
+        let num_built = cut.iter().filter(|(_, _, piece)| piece.is_some()).count();
         let overflows = |held: &Held| {
             !held.digests.is_empty() && held.num_since_whole + num_built > params.history_messages
         };
@@ -322,7 +322,7 @@ impl Meshes {
         }
         let header = snapshot.header();
         let mut messages: Both = (Vec::new(), Vec::new());
-        for (digest, piece) in &cut {
+        for (digest, _, piece) in &cut {
             let Some(piece) = piece else { continue };
             if geometry && !self.geometry.digests.contains(digest) {
                 messages.0.push(piece.geometry(header).encode());
@@ -331,7 +331,7 @@ impl Meshes {
                 messages.1.push(piece.materials(header).encode());
             }
         }
-        let digests: BTreeSet<Digest> = cut.iter().map(|(digest, _)| *digest).collect();
+        let digests: BTreeSet<Digest> = cut.iter().map(|(digest, ..)| *digest).collect();
         if geometry {
             self.geometry.num_since_whole += messages.0.len();
             self.geometry.digests.clone_from(&digests);

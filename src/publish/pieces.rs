@@ -14,6 +14,7 @@ use crate::atlas::{TexelRect, TexturePage};
 use crate::export::{ExportError, TexturedMesh};
 
 use super::digest::{Digest, Digester};
+use super::sent::Change;
 use super::{PublishError, PublishParams, crop};
 
 /// Texels around the triangles that filtering may reach.
@@ -28,6 +29,13 @@ pub(super) struct PieceTriangle {
     pub(super) corners_texel: [[f32; 2]; 3],
 }
 
+/// Pieces with their places, as [`in_steps`] takes them.
+pub(super) fn placed<T>(cut: Vec<CutPiece<T>>) -> Vec<(Digest, Place, (Place, Option<T>))> {
+    cut.into_iter()
+        .map(|(digest, place, built)| (digest, place, (place, built)))
+        .collect()
+}
+
 /// Some triangles of one page, and the part of it that they need.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Piece {
@@ -36,8 +44,65 @@ pub(super) struct Piece {
     pub(super) triangles: Vec<PieceTriangle>,
 }
 
-/// A piece that a message can hold: its digest, and what was built of it unless it is known.
-pub(super) type CutPiece<T> = (Digest, Option<T>);
+/// Where a piece lies in the atlas.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Place {
+    page: u32,
+    crop: TexelRect,
+}
+
+/// A piece that a message can hold: its digest, its place, and what was built of it unless it is known.
+pub(super) type CutPiece<T> = (Digest, Place, Option<T>);
+
+impl Place {
+    /// Whether the middle of the other lies here.
+    fn is_over(&self, other: &Self) -> bool {
+        let contains = |start: u32, length: u32, other_start: u32, other_length: u32| {
+            (start..start + length).contains(&(other_start + other_length / 2))
+        };
+        let (a, b) = (&self.crop, &other.crop);
+        self.page == other.page
+            && contains(a.x, a.width, b.x, b.width)
+            && contains(a.y, a.height, b.y, b.height)
+    }
+}
+
+/// A step from one state of the pieces to the next: names that go, then what comes.
+pub(super) struct Step<T> {
+    pub(super) removed: Vec<u32>,
+    pub(super) added: Option<(u32, T)>,
+}
+
+/// A change in steps, so that a piece goes only when the one in its place comes: a viewer never shows a
+/// hole where there is none. What nothing takes the place of goes first.
+pub(super) fn in_steps<T>(change: Change<(Place, Option<T>), Place>) -> Vec<Step<T>> {
+    let mut waiting = change.removed;
+    let mut steps: Vec<Step<T>> = Vec::new();
+    for (name, (place, built)) in change.added {
+        // What is known but doubled was sent once, which is enough.
+        let Some(built) = built else { continue };
+        let (removed, rest) = waiting
+            .into_iter()
+            .partition(|(_, gone): &(u32, Place)| place.is_over(gone));
+        waiting = rest;
+        steps.push(Step {
+            removed: names(removed),
+            added: Some((name, built)),
+        });
+    }
+    if !waiting.is_empty() {
+        let first = Step {
+            removed: names(waiting),
+            added: None,
+        };
+        steps.insert(0, first);
+    }
+    steps
+}
+
+fn names(removed: Vec<(u32, Place)>) -> Vec<u32> {
+    removed.into_iter().map(|(name, _)| name).collect()
+}
 
 /// Makes what a message needs of a piece; `None` when that is too long.
 pub(super) type Build<'a, T> =
@@ -277,13 +342,17 @@ fn judge<T>(
     }
     let piece = Piece::new(node.page, page, node.triangles);
     let digest = piece.digest(page);
+    let place = Place {
+        page: piece.page,
+        crop: piece.crop,
+    };
     if is_known(digest) {
-        return Ok(Judged::Piece((digest, None)));
+        return Ok(Judged::Piece((digest, place, None)));
     }
     if !too_large.0.contains(&digest)
         && let Some(built) = build(&piece, page)?
     {
-        return Ok(Judged::Piece((digest, Some(built))));
+        return Ok(Judged::Piece((digest, place, Some(built))));
     }
     let node = Node {
         page: piece.page,

@@ -12,7 +12,7 @@ use crate::wire::geometry::WirePose;
 use crate::wire::scene_update::{self, ModelPrimitive, SceneEntity, SceneEntityDeletion};
 use crate::wire::{Message, SceneUpdate};
 
-use super::pieces::{self, Piece, TooLarge};
+use super::pieces::{self, Piece, Place, TooLarge};
 use super::sent::Sent;
 use super::{PublishError, PublishParams, Snapshot, crop};
 
@@ -20,7 +20,7 @@ use super::{PublishError, PublishParams, Snapshot, crop};
 #[derive(Debug, Default)]
 pub(super) struct Scene {
     scene: Option<(u64, String)>,
-    sent: Sent,
+    sent: Sent<Place>,
     too_large: TooLarge,
     num_since_whole: usize,
 }
@@ -76,16 +76,24 @@ impl Scene {
             &|digest| sent.contains(digest),
             &|piece, page| {
                 let file = piece_glb(piece, page, params.viewer_format)?;
-                let fits = add(snapshot, 0, &file).len() <= params.max_message_bytes;
+                let fits = entity(snapshot, 0, &file, &[]).len() <= params.max_message_bytes;
                 Ok(fits.then_some(file))
             },
         )?;
-        let change = self.sent.change(cut)?;
-        let mut messages = deletions(&change.removed, params)?;
-        for (name, file) in change.added {
-            if let Some(file) = file {
-                messages.push(params.checked("a scene", add(snapshot, name, &file))?);
+        let change = self.sent.change(pieces::placed(cut))?;
+        let mut messages = Vec::new();
+        for step in pieces::in_steps(change) {
+            let Some((name, file)) = step.added else {
+                messages.extend(deletions(&step.removed, params)?);
+                continue;
+            };
+            let added = entity(snapshot, name, &file, &step.removed);
+            if added.len() <= params.max_message_bytes {
+                messages.push(added);
+                continue;
             }
+            messages.extend(deletions(&step.removed, params)?);
+            messages.push(params.checked("a scene", entity(snapshot, name, &file, &[]))?);
         }
         Ok(messages)
     }
@@ -108,17 +116,20 @@ fn deletion(kind: u8, id: String) -> SceneEntityDeletion<'static> {
     }
 }
 
+fn deletions_of(names: &[u32]) -> Vec<SceneEntityDeletion<'static>> {
+    let ids = names.iter().map(|&name| entity_id(name));
+    ids.map(|id| deletion(scene_update::MATCHING_ID, id))
+        .collect()
+}
+
 /// Bytes of a deletion, padding included.
 const DELETION_BYTES: usize = 48;
 
 fn deletions(names: &[u32], params: &PublishParams) -> Result<Vec<Vec<u8>>, PublishError> {
     let per_message = (params.max_message_bytes / DELETION_BYTES).max(2) - 1;
     let messages = names.chunks(per_message).map(|names| {
-        let names = names.iter();
         let update = SceneUpdate {
-            deletions: names
-                .map(|&name| deletion(scene_update::MATCHING_ID, entity_id(name)))
-                .collect(),
+            deletions: deletions_of(names),
             entities: Vec::new(),
         };
         params.checked("a scene", update.encode())
@@ -126,7 +137,8 @@ fn deletions(names: &[u32], params: &PublishParams) -> Result<Vec<Vec<u8>>, Publ
     messages.collect()
 }
 
-fn add(snapshot: &Snapshot<'_>, name: u32, file: &[u8]) -> Vec<u8> {
+/// A piece as an entity, after the deletion of others.
+fn entity(snapshot: &Snapshot<'_>, name: u32, file: &[u8], removed: &[u32]) -> Vec<u8> {
     let model = ModelPrimitive {
         pose: WirePose::IDENTITY,
         scale: [1.0; 3],
@@ -146,7 +158,7 @@ fn add(snapshot: &Snapshot<'_>, name: u32, file: &[u8]) -> Vec<u8> {
         models: vec![model],
     };
     SceneUpdate {
-        deletions: Vec::new(),
+        deletions: deletions_of(removed),
         entities: vec![entity],
     }
     .encode()

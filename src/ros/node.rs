@@ -105,7 +105,7 @@ impl Running {
             depth: config.node.publish_depth,
             publish: PublishParams {
                 history_messages: config.node.publish_depth,
-                ..PublishParams::default()
+                ..config.publish
             },
         };
         let outputs = Outputs::new(&context, names, &entities, params, Arc::clone(&output))?;

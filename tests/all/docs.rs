@@ -39,6 +39,10 @@ fn links_between_pages_lead_somewhere() {
         "CONTRIBUTING.md",
         "ARCHITECTURE.md",
         "bags/README.md",
+        "CHANGELOG.md",
+        "docs/viewers/rviz2.md",
+        "docs/viewers/foxglove.md",
+        "docs/viewers/blender.md",
     ] {
         let text = read(page);
         for target in text

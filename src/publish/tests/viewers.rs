@@ -200,6 +200,37 @@ fn a_small_change_sends_few_markers() {
     }
 }
 
+#[test]
+fn a_piece_goes_in_the_message_in_which_another_takes_its_place() {
+    let mut scan = Scan::new(27);
+    let mut publisher = Publisher::new(exact(60_000, 1000));
+    publisher
+        .publish(&scan.made().snapshot(1), &everything)
+        .unwrap();
+    for seed in 0..20 {
+        scan.paint(seed);
+    }
+    let change = publisher
+        .publish(&scan.made().snapshot(2), &everything)
+        .unwrap();
+    let mut num_replaced = 0;
+    for message in messages_of(&change, OutputTopic::Markers) {
+        let array = MarkerArray::decode(message).unwrap();
+        let (last, before) = array.markers.split_last().unwrap();
+        assert_eq!(last.action, marker::ADD);
+        assert!(before.iter().all(|marker| marker.action == marker::DELETE));
+        num_replaced += before.len();
+    }
+    assert!(num_replaced > 0);
+    let mut num_deleted = 0;
+    for message in messages_of(&change, OutputTopic::Scene) {
+        let update = SceneUpdate::decode(message).unwrap();
+        assert_eq!(update.entities.len(), 1);
+        num_deleted += update.deletions.len();
+    }
+    assert!(num_deleted > 0);
+}
+
 /// The triangles of a GLB file in the z-up frame, with the colours at their corners.
 fn shown_of_glb(bytes: &[u8]) -> Vec<Shown> {
     let file = gltf::Gltf::from_slice(bytes).unwrap();
