@@ -61,7 +61,12 @@ impl Control {
         *state = goal;
         drop(state);
         self.apply();
-        tracing::info!("{}: {} → {}", transition.label(), start.label(), goal.label());
+        tracing::info!(
+            "{}: {} → {}",
+            transition.label(),
+            start.label(),
+            goal.label()
+        );
         Some((start, goal))
     }
 

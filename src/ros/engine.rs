@@ -432,8 +432,8 @@ fn note(status: &mut PaintStatus, painted: &Painted) {
     let texels = texture.pages.iter().flat_map(|page| &page.source);
     let (mut num_painted, mut num_covered) = (0_u64, 0_u64);
     for source in texels {
-        let is_covered =
-            *source != crate::atlas::TexelSource::NONE && *source != crate::atlas::TexelSource::GUTTER;
+        let is_covered = *source != crate::atlas::TexelSource::NONE
+            && *source != crate::atlas::TexelSource::GUTTER;
         num_covered += u64::from(is_covered);
         num_painted += u64::from(source.as_keyframe().is_some());
     }

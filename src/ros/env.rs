@@ -264,7 +264,11 @@ mod tests {
         assert_eq!(found.unwrap().enclave_folder(), folder);
         // Without Enforce, a node whose keys are missing goes on without security; with it, not.
         assert_eq!(security(&[enable, store], Some("/other")), Ok(None));
-        assert!(security(&[enable, store, enforce], Some("/other")).unwrap().is_some());
+        assert!(
+            security(&[enable, store, enforce], Some("/other"))
+                .unwrap()
+                .is_some()
+        );
         assert!(security(&[enable, store], Some("/../../x")).is_err());
     }
 

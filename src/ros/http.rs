@@ -23,11 +23,11 @@ use super::engine::{Painting, Shared};
 use super::error::NodeError;
 
 /// Requests that are answered at once; more are turned away.
-pub const MAX_CONNECTIONS: usize = 8;
+const MAX_CONNECTIONS: usize = 8;
 /// Longest head of a request, bytes.
-pub const MAX_HEAD_BYTES: u64 = 8192;
+const MAX_HEAD_BYTES: u64 = 8192;
 /// How long a peer may be silent.
-pub const TIMEOUT: Duration = Duration::from_secs(10);
+const TIMEOUT: Duration = Duration::from_secs(10);
 /// How often the listener looks whether the node stops.
 const POLL: Duration = Duration::from_millis(100);
 

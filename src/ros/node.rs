@@ -3,8 +3,8 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use rustdds::bytes::Bytes;
 use ros2_client::{Context, Node, NodeName, NodeOptions};
+use rustdds::bytes::Bytes;
 use smol::LocalExecutor;
 use smol::channel::Receiver as Stop;
 

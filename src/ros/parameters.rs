@@ -233,7 +233,9 @@ pub fn set(config: &mut Config, parameter: &raw::Parameter) -> Result<(), String
         _ => return Err(format!("'{name}' takes no list")),
     };
     let mut changed = config.clone();
-    changed.set(name, &text).map_err(|error| error.to_string())?;
+    changed
+        .set(name, &text)
+        .map_err(|error| error.to_string())?;
     if !is_live(name) {
         let (before, after) = (value_text(config, name), value_text(&mut changed, name));
         return if before == after {

@@ -8,7 +8,9 @@ use ros2_client::builtin_interfaces::Time;
 use ros2_client::parameters::raw;
 use ros2_client::qos::{History, QosProfile};
 use ros2_client::rcl_interfaces as rcl;
-use ros2_client::{Context, Message, Name, Node, Publisher, Server, ServiceMapping, ServiceTypeName};
+use ros2_client::{
+    Context, Message, Name, Node, Publisher, Server, ServiceMapping, ServiceTypeName,
+};
 use smol::LocalExecutor;
 
 use super::clock::RosClock;

@@ -129,7 +129,13 @@ fn live_is_replay_under_simulated_time() {
     let mut transforms = RawPeer::new(rig.domain);
     transforms.send(&bag, "/tf_static", "/tf_static");
     transforms.send(&bag, "/tf", "/tf");
-    let args = ["play", "--clock", bag.to_str().unwrap(), "--optional", "/pose"];
+    let args = [
+        "play",
+        "--clock",
+        bag.to_str().unwrap(),
+        "--optional",
+        "/pose",
+    ];
     let mut player = rig.peer(&args);
     assert_eq!(player.next()["matched"], true);
     let said = player.next();
@@ -142,14 +148,26 @@ fn live_is_replay_under_simulated_time() {
     assert!(success);
     let live = std::fs::read(saves.join("scan.glb")).unwrap();
     let replayed = std::fs::read(out.join("scan.glb")).unwrap();
-    assert!(live == replayed, "{} and {} bytes", live.len(), replayed.len());
+    assert!(
+        live == replayed,
+        "{} and {} bytes",
+        live.len(),
+        replayed.len()
+    );
 }
 
 #[test]
 fn parameters_services_and_lifecycle_answer_rclpy() {
     let Some(rig) = Rig::new() else { return };
     let dir = tempfile::tempdir().unwrap();
-    let args = ["-r", "__ns:=/robot", "-r", "__node:=painter", "-p", "autostart:=false"];
+    let args = [
+        "-r",
+        "__ns:=/robot",
+        "-r",
+        "__node:=painter",
+        "-p",
+        "autostart:=false",
+    ];
     let mut node = rig.node(dir.path(), &args);
     let trigger = |name: &str| {
         rig.call(
@@ -202,12 +220,23 @@ fn parameters_services_and_lifecycle_answer_rclpy() {
     let listed = listed["result"]["names"].as_array().unwrap();
     assert!(listed.contains(&Value::from("texinit.mode")));
     let set = rig
-        .peer(&["set", "/robot/painter", "paint_period=2.5", "paint_period=-1.0", "image_transport=raw"])
+        .peer(&[
+            "set",
+            "/robot/painter",
+            "paint_period=2.5",
+            "paint_period=-1.0",
+            "image_transport=raw",
+        ])
         .next();
     let results = set["results"].as_array().unwrap();
     assert_eq!(results[0]["successful"], true, "{set}");
     assert_eq!(results[1]["successful"], false, "{set}");
-    assert!(results[1]["reason"].as_str().unwrap().contains("0 ..= 3600"));
+    assert!(
+        results[1]["reason"]
+            .as_str()
+            .unwrap()
+            .contains("0 ..= 3600")
+    );
     assert!(results[2]["reason"].as_str().unwrap().contains("fixed"));
     let values = of("get_parameters", "GetParameters", names);
     assert_eq!(values["values"][0]["double_value"], 2.5);
@@ -221,11 +250,27 @@ fn parameters_services_and_lifecycle_answer_rclpy() {
     assert_eq!(trigger("reset")["success"], true);
 
     let graph = rig
-        .peer(&["graph", "painter", "--namespace", "/robot", "--subscriptions", "/tf"])
+        .peer(&[
+            "graph",
+            "painter",
+            "--namespace",
+            "/robot",
+            "--subscriptions",
+            "/tf",
+        ])
         .next();
-    assert!(graph["subscriptions"]["/robot/rgb/camera_info"].is_array(), "{graph}");
-    assert!(graph["publishers"]["/robot/painter/markers"].is_array(), "{graph}");
-    assert!(graph["services"]["/robot/painter/save"].is_array(), "{graph}");
+    assert!(
+        graph["subscriptions"]["/robot/rgb/camera_info"].is_array(),
+        "{graph}"
+    );
+    assert!(
+        graph["publishers"]["/robot/painter/markers"].is_array(),
+        "{graph}"
+    );
+    assert!(
+        graph["services"]["/robot/painter/save"].is_array(),
+        "{graph}"
+    );
     assert!(node.is_running());
 }
 
@@ -259,7 +304,10 @@ fn garbage_and_wrong_types_are_told_and_harm_nothing() {
             && seen.message("synchronisation").contains("refused")
             && seen.message("network").contains("sensor_msgs/msg/Image")
     });
-    assert!(seen.message("synchronisation").contains("/rgb/image/compressed"));
+    assert!(
+        seen.message("synchronisation")
+            .contains("/rgb/image/compressed")
+    );
     assert!(seen.message("network").contains("/mesh"), "{seen:?}");
     assert!(node.is_running());
     drop((garbage, wrong));
