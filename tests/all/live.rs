@@ -216,9 +216,15 @@ fn parameters_services_and_lifecycle_answer_rclpy() {
     assert_eq!(descriptors[2]["floating_point_range"][0]["to_value"], 0.5);
     let values = of("get_parameters", "GetParameters", names);
     assert_eq!(values["values"][1]["string_value"], "auto");
-    let listed = of("list_parameters", "ListParameters", "{}");
+    let all = of("list_parameters", "ListParameters", "{}");
+    assert!(
+        all["result"]["names"].as_array().unwrap().len() > 10,
+        "{all}"
+    );
+    let prefix = r#"{"prefixes": ["texinit.chart"]}"#;
+    let listed = of("list_parameters", "ListParameters", prefix);
     let listed = listed["result"]["names"].as_array().unwrap();
-    assert!(listed.contains(&Value::from("texinit.mode")));
+    assert!(listed.contains(&Value::from("texinit.chart.max_stretch")));
     let set = rig
         .peer(&[
             "set",
