@@ -7,7 +7,8 @@
 //! 2. [`align`]: how far the view's photo is displaced from the rendering;
 //! 3. the crop is rendered from the texture, and the partner's photo is projected into it;
 //! 4. [`discriminator`]: a step of the network that tells the partner's photo from the rendering;
-//! 5. the texture goes down the gradient of λ · L1 − log D(rendering), by Adam.
+//! 5. the texture goes down the gradient of λ · L1 − log D(rendering), by Adam; a pixel counts by how much
+//!    of the texture it resolves, and more where its own photo was painted.
 //!
 //! Colours are sRGB in [−1, 1]. The same seed gives the same bits for any number of threads.
 

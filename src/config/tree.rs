@@ -213,6 +213,8 @@ pub const PARAMETERS: &[Parameter] = &[
         Choice { words: &["photo", "partner"], set: smooth::set_l1_target, get: smooth::l1_target }),
     row("texsmooth.resolution_exponent", "", "A pixel that covers more than one texel counts by their number to minus this; 0: all alike (the paper).",
         Float32(|c| &mut c.pipeline.texsmooth.resolution_exponent, 0.0, 16.0)),
+    row("texsmooth.own_weight", "", "How many times a pixel counts at texels that were painted from its photo; 1: all alike (the paper).",
+        Float32(|c| &mut c.pipeline.texsmooth.own_weight, 0.0, 1e6)),
     row("texsmooth.discriminator.enabled", "", "Whether a discriminator judges the rendering; without one the L1 term is all.",
         Bool(|c| &mut c.pipeline.texsmooth.has_discriminator)),
     row("texsmooth.discriminator.learning_rate", "", "Adam's step for the discriminator.",

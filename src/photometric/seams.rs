@@ -3,7 +3,8 @@
 //! After Waechter, Moehrle, Goesele, "Let there be color!", ECCV 2014, with steps in linear light.
 //! Steps are the difference of the two photos at points of the seam, where a change of the surface's
 //! own colour is in both; without photos they are read from the texture just inside either triangle,
-//! which takes such a change for a step. The report's steps are the texture's. Globally: every vertex has a correction
+//! which takes such a change for a step. Where the photos' colours change within a pixel a step may come of a
+//! pose or a mesh that is not exact: it is believed as far as it is larger than that would make it. The report's steps are the texture's. Globally: every vertex has a correction
 //! per label around it, such that corrections make up for the step at seams and vary little
 //! within a label; a weak pull to 0 keeps what lies farther than [`SeamParams::reach_m`] from a
 //! seam as it is. Corrections are interpolated over triangles and added. Locally: what step is left
@@ -147,6 +148,7 @@ pub fn level_seams(
     }
     report.step_after = report.step_after_global;
     if params.has_local && !seams.is_empty() {
+        samples::shrink(&mut seams);
         report.num_changed_texels += local::level(mesh, &painter, &nodes, &seams, params, texture);
         report.step_after = sample(&mut seams, texture);
     }

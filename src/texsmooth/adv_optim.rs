@@ -10,26 +10,28 @@
 //! Where the mesh is not seen, nothing is painted, or the partner does not see the same surface,
 //! photo, projection and rendering are all −1, and neither loss counts it.
 
+mod crop;
+mod partner;
+mod step;
+
 use std::sync::Arc;
 use std::time::Instant;
 
-use rayon::prelude::*;
-
 use super::align::AlignError;
 use super::checkpoint::{self, CheckpointError};
-use super::discriminator::{self, Critic, CriticError, PatchView};
+use super::discriminator::{self, CriticError};
 use super::loss_curve::RunningMeans;
 use super::offsets::{OffsetReport, Offsets};
-use super::random::{Purpose, StepDraws};
-use super::texels::{AdamStep, Footprint, Texels, to_byte};
-use super::view::{CropSurface, PixelRect, Surface};
-use super::views::{Seen, UnseenError, Views, partners};
-use super::{Decode, L1Target, PartnerOffset, PartnerRule, SmoothStart, TexSmoothParams};
+use super::texels::Texels;
+use super::view::Surface;
+use super::views::{Views, partners};
+use super::{Decode, SmoothStart, TexSmoothParams};
 use crate::atlas::{AtlasLayout, AtlasTexture, TextureMismatch};
 use crate::geom::ColorImage;
 use crate::keyframe::Keyframe;
 use crate::mesh::TriMesh;
 use crate::render::{GpuError, ViewRasterizer};
+use step::Optimisation;
 
 /// Why the texture was not refined.
 #[derive(Debug, thiserror::Error)]
@@ -178,60 +180,9 @@ pub fn smooth(
         });
     }
     let begun = Instant::now();
-    let mut texels = Texels::from_texture(texture).ok_or(SmoothError::TooManyTexels)?;
-    if params.start == SmoothStart::Blank {
-        texels.fill(0.0);
-    }
-    let mut first_step = 0;
-    let mut known_critic = match from {
-        SmoothFrom::Critic(bytes) => Some(bytes.to_vec()),
-        _ => None,
-    };
-    if let SmoothFrom::Checkpoint(bytes) = from {
-        let saved = checkpoint::read(bytes, &mut texels)?;
-        first_step = saved.num_steps;
-        known_critic = Some(saved.critic);
-    }
-    let rasterizer = ViewRasterizer::new(params.backend)?;
-    let (critic, backend) = if params.has_discriminator {
-        let known = known_critic.as_deref();
-        let made = discriminator::make(&rasterizer, &params.discriminator, params.seed, known)?;
-        (Some(made), rasterizer.device_name())
-    } else {
-        (None, "none")
-    };
-
-    let budget_bytes = (params.view_cache_mb.max(0.0) * 1e6).min(1e15);
-    #[expect(
-        clippy::cast_possible_truncation,
-        clippy::cast_sign_loss,
-        reason = "clamped above"
-    )]
-    let views = Views::new(
-        rasterizer.load(mesh)?,
-        frames,
-        decode,
-        budget_bytes as usize,
-    );
-    let mut run = Optimisation {
-        params,
-        on: Surface { mesh, layout },
-        texels,
-        critic,
-        offsets: Offsets::new(
-            params.align,
-            params.align_grid,
-            params.align_interval,
-            frames.len(),
-        ),
-        partners: partners(frames, params.max_partner_angle_rad, params.partner_rule),
-        views,
-        report: SmoothReport {
-            num_steps: first_step,
-            backend: backend.to_owned(),
-            ..SmoothReport::default()
-        },
-    };
+    let on = Surface { mesh, layout };
+    let mut run = prepare(on, texture, frames, decode, params, from)?;
+    let first_step = run.report.num_steps;
     let mut means = RunningMeans::new(params.num_steps);
     if !frames.is_empty() {
         for step in first_step..params.num_steps {
@@ -281,412 +232,70 @@ pub fn smooth(
     Ok(report)
 }
 
-/// A partner that sees less of the crop than this share is none.
-const MIN_PARTNER_SHARE: usize = 10;
-/// Rows of points, along each side of a crop, that a partner is looked for by.
-const PARTNER_PROBES: usize = 3;
-
-struct Optimisation<'a> {
-    params: &'a TexSmoothParams,
+/// The state before the first step, or as a checkpoint has it.
+fn prepare<'a>(
     on: Surface<'a>,
-    texels: Texels,
-    critic: Option<Box<dyn Critic>>,
-    offsets: Offsets,
-    partners: Vec<Vec<usize>>,
-    views: Views<'a>,
-    report: SmoothReport,
-}
-
-impl Optimisation<'_> {
-    /// One step; nothing where its crop shows nothing or a photo does not decode.
-    fn step(&mut self, step: usize) -> Result<Option<StepLosses>, SmoothError> {
-        let draws = StepDraws::new(self.params.seed, step as u64);
-        let index = draws.below(Purpose::View, self.views.len());
-        let seen = match self.views.get(index) {
-            Ok(seen) => seen,
-            Err(UnseenError::Photo(_)) => {
-                self.report.num_undecodable += 1;
-                return Ok(None);
-            }
-            Err(UnseenError::Device(error)) => return Err(error.into()),
-        };
-        let rect = self.draw_crop(draws, &seen.photo.color);
-        let offset_px = self.offset(index, &seen, rect)?;
-        let surface = seen.view.surface(self.on, &self.texels, rect, 1, offset_px);
-        let num_seen = surface.footprint.iter().filter(|f| f.is_some()).count();
-        if num_seen == 0 {
-            self.report.num_empty += 1;
-            return Ok(None);
-        }
-
-        let photo = photo_crop(&seen.photo.color, rect);
-        let partner = self.partner(draws, index, &seen, rect, &surface, num_seen, &photo)?;
-        let mut render = vec![0.0f32; photo.len()];
-        self.texels.gather(&surface.footprint, &mut render);
-
-        let crop = Crop {
-            rect,
-            photo: &photo,
-            partner: &partner,
-            render: &render,
-            footprints: &surface.footprint,
-        };
-        let mut gradient = vec![0.0f32; photo.len()];
-        let mut losses = StepLosses {
-            l1: self.add_l1(step, &crop, &mut gradient),
-            ..StepLosses::default()
-        };
-        if let Some(critic) = &mut self.critic {
-            crop.judge(critic.as_mut(), self.params, &mut losses, &mut gradient)?;
-            self.report.num_critic_steps += usize::from(losses.has_critic_stepped);
-        }
-        weigh(
-            &mut gradient,
-            &surface.texels_per_px,
-            self.params.resolution_exponent,
-        );
-        let adam = AdamStep {
-            learning_rate: self.params.learning_rate_at(step),
-            betas: self.params.betas,
-        };
-        self.texels.step(&surface.footprint, &gradient, &adam);
-        Ok(Some(losses))
+    texture: &AtlasTexture,
+    frames: &'a [Arc<Keyframe>],
+    decode: &'a Decode<'a>,
+    params: &'a TexSmoothParams,
+    from: SmoothFrom<'_>,
+) -> Result<Optimisation<'a>, SmoothError> {
+    let mut texels = Texels::from_texture(texture).ok_or(SmoothError::TooManyTexels)?;
+    if params.start == SmoothStart::Blank {
+        texels.fill(0.0);
     }
-
-    fn draw_crop(&self, draws: StepDraws, photo: &ColorImage) -> PixelRect {
-        let (width, height) = (photo.width() as usize, photo.height() as usize);
-        if self.params.crop_px == 0 {
-            let jitter = |purpose, size: usize| {
-                draws.below(purpose, (self.params.max_jitter_px + 1).min(size.max(1)))
-            };
-            let (x, y) = (
-                jitter(Purpose::CropX, width),
-                jitter(Purpose::CropY, height),
-            );
-            return PixelRect {
-                x,
-                y,
-                width: width - x,
-                height: height - y,
-            };
-        }
-        let side = |size: usize| self.params.crop_px.min(size);
-        PixelRect {
-            x: draws.below(Purpose::CropX, width - side(width) + 1),
-            y: draws.below(Purpose::CropY, height - side(height) + 1),
-            width: side(width),
-            height: side(height),
-        }
+    let mut first_step = 0;
+    let mut known_critic = match from {
+        SmoothFrom::Critic(bytes) => Some(bytes.to_vec()),
+        _ => None,
+    };
+    if let SmoothFrom::Checkpoint(bytes) = from {
+        let saved = checkpoint::read(bytes, &mut texels)?;
+        first_step = saved.num_steps;
+        known_critic = Some(saved.critic);
     }
+    let rasterizer = ViewRasterizer::new(params.backend)?;
+    let (critic, backend) = if params.has_discriminator {
+        let known = known_critic.as_deref();
+        let made = discriminator::make(&rasterizer, &params.discriminator, params.seed, known)?;
+        (Some(made), rasterizer.device_name())
+    } else {
+        (None, "none")
+    };
 
-    fn offset(
-        &mut self,
-        index: usize,
-        seen: &Seen,
-        rect: PixelRect,
-    ) -> Result<[f32; 2], SmoothError> {
-        if !self.params.has_alignment {
-            return Ok([0.0; 2]);
-        }
-        let middle = [rect.x + rect.width / 2, rect.y + rect.height / 2];
-        let at = self
-            .offsets
-            .at(index, seen, self.on, &self.texels, middle)?;
-        Ok(at)
-    }
-
-    /// A partner's photo, projected into the crop: planar, NaN where it does not see the same surface.
+    let budget_bytes = (params.view_cache_mb.max(0.0) * 1e6).min(1e15);
     #[expect(
-        clippy::too_many_arguments,
-        reason = "all that a step has drawn so far"
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "clamped above"
     )]
-    fn partner(
-        &mut self,
-        draws: StepDraws,
-        index: usize,
-        seen: &Seen,
-        rect: PixelRect,
-        surface: &CropSurface,
-        num_seen: usize,
-        photo: &[f32],
-    ) -> Result<Vec<f32>, SmoothError> {
-        let candidates = match self.params.partner_rule {
-            PartnerRule::WorldAxis => self.partners[index].clone(),
-            PartnerRule::ViewingAxis => self.partners_before(index, seen, rect, surface),
-        };
-        let drawn = candidates
-            .get(draws.below(Purpose::Partner, candidates.len()))
-            .copied()
-            .unwrap_or(index);
-        if drawn != index
-            && let Ok(partner) = self.views.get(drawn)
-        {
-            let projected = match self.params.partner_offset {
-                PartnerOffset::Own => {
-                    let whole = PixelRect {
-                        x: 0,
-                        y: 0,
-                        width: partner.photo.color.width() as usize,
-                        height: partner.photo.color.height() as usize,
-                    };
-                    let offset_px = self.offset(drawn, &partner, whole)?;
-                    self.project(&partner, seen, &surface.point_in_camera, offset_px)
-                }
-                PartnerOffset::View => {
-                    let unshifted = seen.view.surface(self.on, &self.texels, rect, 1, [0.0; 2]);
-                    self.project(&partner, seen, &unshifted.point_in_camera, [0.0; 2])
-                }
-            };
-            let num_common = projected[..rect.num_pixels()]
-                .iter()
-                .zip(&surface.footprint)
-                .filter(|(value, footprint)| footprint.is_some() && !value.is_nan())
-                .count();
-            if num_common * MIN_PARTNER_SHARE >= num_seen {
-                return Ok(projected);
-            }
-        }
-        self.report.num_self_partnered += 1;
-        Ok(photo.to_vec())
-    }
-
-    /// Partners that may see the crop: some of a few points of it lie in their image.
-    fn partners_before(
-        &self,
-        index: usize,
-        seen: &Seen,
-        rect: PixelRect,
-        surface: &CropSurface,
-    ) -> Vec<usize> {
-        let world_from_camera = seen.view.camera_from_world.inverse();
-        let probe = |at: usize, size: usize| (2 * at + 1) * size / (2 * PARTNER_PROBES);
-        let points: Vec<_> = (0..PARTNER_PROBES * PARTNER_PROBES)
-            .filter_map(|i| {
-                let x = probe(i % PARTNER_PROBES, rect.width);
-                let y = probe(i / PARTNER_PROBES, rect.height);
-                let point = surface.point_in_camera.get(y * rect.width + x)?;
-                (!point[0].is_nan())
-                    .then(|| world_from_camera.transform_point(&point.map(f64::from).into()))
-            })
-            .collect();
-        let sees_most = |other: &usize| {
-            let frame = self.views.frame(*other);
-            let camera = &frame.color_camera.pinhole;
-            let camera_from_world = frame.world_from_camera.inverse();
-            let num_inside = points
-                .iter()
-                .filter(|point| {
-                    camera
-                        .project(&camera_from_world.transform_point(point))
-                        .is_some_and(|pixel| camera.contains(pixel))
-                })
-                .count();
-            *other == index || 2 * num_inside > points.len()
-        };
-        self.partners[index]
-            .iter()
-            .copied()
-            .filter(sees_most)
-            .collect()
-    }
-
-    fn project(
-        &self,
-        partner: &Seen,
-        seen: &Seen,
-        points_in_camera: &[[f32; 3]],
-        offset_px: [f32; 2],
-    ) -> Vec<f32> {
-        let positions = partner.view.project_from(
-            &seen.view,
-            self.on.mesh,
-            points_in_camera,
-            self.params.max_depth_difference_m,
-        );
-        let num = positions.len();
-        let mut out = vec![f32::NAN; 3 * num];
-        let colors: Vec<Option<[f32; 3]>> = positions
-            .par_iter()
-            .map(|position| {
-                let [x, y] = (*position)?;
-                let at = [x + offset_px[0], y + offset_px[1]];
-                let sampled = partner.photo.color.sample_bilinear(at);
-                Some(sampled.map(|value| value / 127.5 - 1.0))
-            })
-            .collect();
-        for (i, color) in colors.iter().enumerate() {
-            if let Some(color) = color {
-                for (channel, &value) in color.iter().enumerate() {
-                    out[channel * num + i] = value;
-                }
-            }
-        }
-        out
-    }
-
-    /// Adds λ times the gradient of the mean absolute difference; returns that mean.
-    fn add_l1(&self, step: usize, crop: &Crop<'_>, gradient: &mut [f32]) -> f32 {
-        let footprints = crop.footprints;
-        let num_pixels = footprints.len();
-        let target = match self.params.l1_target {
-            L1Target::Photo => crop.photo,
-            L1Target::Partner => crop.partner,
-        };
-        let counts = |i: usize| footprints[i].is_some() && !target[i].is_nan();
-        let num_values = 3 * (0..num_pixels).filter(|&i| counts(i)).count();
-        if num_values == 0 {
-            return 0.0;
-        }
-        let slope = self.params.lambda_at(step) / num_values as f32;
-        let mut sum = 0.0f64;
-        for i in (0..num_pixels).filter(|&i| counts(i)) {
-            for at in [i, num_pixels + i, 2 * num_pixels + i] {
-                let difference = crop.render[at] - target[at];
-                sum += f64::from(difference.abs());
-                if difference != 0.0 {
-                    gradient[at] += slope.copysign(difference);
-                }
-            }
-        }
-        #[expect(clippy::cast_possible_truncation, reason = "rounding to f32 is meant")]
-        let mean = (sum / num_values as f64) as f32;
-        mean
-    }
-
-    /// The first view that decodes: its photo, and beside it the rendering.
-    fn preview(&mut self) -> Option<ColorImage> {
-        let index = self.views.len() / 2;
-        let seen = self.views.get(index).ok()?;
-        let photo = &seen.photo.color;
-        let (width, height) = (photo.width() as usize, photo.height() as usize);
-        let factor = width.div_ceil(640).max(1);
-        let rect = PixelRect {
-            x: 0,
-            y: 0,
-            width: width / factor,
-            height: height / factor,
-        };
-        let surface = seen
-            .view
-            .surface(self.on, &self.texels, rect, factor, [0.0; 2]);
-        let num = rect.num_pixels();
-        let mut render = vec![0.0; 3 * num];
-        self.texels.gather(&surface.footprint, &mut render);
-        let factor = u32::try_from(factor).ok()?;
-        let photo = photo.reduced(factor);
-        let mut pixels = Vec::with_capacity(2 * num);
-        for y in 0..rect.height {
-            let row = y * rect.width..(y + 1) * rect.width;
-            pixels.extend_from_slice(photo.pixels().get(row.clone())?);
-            pixels.extend(row.map(|i| [0, 1, 2].map(|c| to_byte(render[c * num + i]))));
-        }
-        let size = |px: usize| u32::try_from(px).ok();
-        ColorImage::new(size(2 * rect.width)?, size(rect.height)?, pixels).ok()
-    }
-
-    fn checkpoint(&self) -> Result<Vec<u8>, SmoothError> {
-        self.checkpoint_at(self.report.num_steps)
-    }
-
-    fn checkpoint_at(&self, num_steps: usize) -> Result<Vec<u8>, SmoothError> {
-        let critic = match &self.critic {
-            Some(critic) => critic.save()?,
-            None => Vec::new(),
-        };
-        Ok(checkpoint::write(num_steps, &critic, &self.texels))
-    }
+    let views = Views::new(
+        rasterizer.load(on.mesh)?,
+        frames,
+        decode,
+        budget_bytes as usize,
+    );
+    Ok(Optimisation {
+        params,
+        on,
+        texels,
+        critic,
+        offsets: Offsets::new(
+            params.align,
+            params.align_grid,
+            params.align_interval,
+            frames.len(),
+        ),
+        partners: partners(frames, params.max_partner_angle_rad, params.partner_rule),
+        views,
+        report: SmoothReport {
+            num_steps: first_step,
+            backend: backend.to_owned(),
+            ..SmoothReport::default()
+        },
+    })
 }
 
-/// The images of a step, planar [channel][row][column] in [−1, 1]; the partner's is NaN where it does
-/// not see the same surface.
-struct Crop<'a> {
-    rect: PixelRect,
-    photo: &'a [f32],
-    partner: &'a [f32],
-    render: &'a [f32],
-    footprints: &'a [Footprint],
-}
-
-impl Crop<'_> {
-    /// The discriminator's step, then its verdict on the rendering: adds the gradient of −log D.
-    fn judge(
-        &self,
-        critic: &mut dyn Critic,
-        params: &TexSmoothParams,
-        losses: &mut StepLosses,
-        gradient: &mut [f32],
-    ) -> Result<(), CriticError> {
-        let num = self.rect.num_pixels();
-        let mask: Vec<f32> = self
-            .footprints
-            .iter()
-            .zip(self.partner)
-            .map(|(footprint, partner)| {
-                let counts = footprint.is_some() && !partner.is_nan();
-                f32::from(u8::from(counts))
-            })
-            .collect();
-        let stacked = |image: &[f32]| {
-            let mut patch = vec![0.0f32; 6 * num];
-            for c in 0..3 {
-                for (i, counts) in mask.iter().enumerate() {
-                    let at = c * num + i;
-                    let (photo, value) = if *counts > 0.0 {
-                        (self.photo[at], image[at])
-                    } else {
-                        (-1.0, -1.0)
-                    };
-                    patch[at] = photo;
-                    patch[3 * num + at] = value - photo;
-                }
-            }
-            patch
-        };
-        let (real, fake) = rayon::join(|| stacked(self.partner), || stacked(self.render));
-        let patch = |data| PatchView {
-            data,
-            height: self.rect.height,
-            width: self.rect.width,
-        };
-        let judged = critic.step(patch(&real), patch(&fake), &mask, params.gate)?;
-        let mut by_render = vec![0.0f32; 3 * num];
-        losses.adversarial = critic.texture_gradient(patch(&fake), &mask, &mut by_render)?;
-        (losses.real, losses.fake) = (judged.real, judged.fake);
-        losses.has_critic_stepped = judged.stepped;
-        for (sum, value) in gradient.iter_mut().zip(by_render) {
-            *sum += value;
-        }
-        Ok(())
-    }
-}
-
-/// Scales the gradient of pixels that cover more than one texel by their number to minus `exponent`.
-fn weigh(gradient: &mut [f32], texels_per_px: &[f32], exponent: f32) {
-    if exponent == 0.0 {
-        return;
-    }
-    let weights: Vec<f32> = texels_per_px
-        .iter()
-        .map(|&texels| texels.max(1.0).powf(-exponent))
-        .collect();
-    for channel in gradient.chunks_exact_mut(weights.len().max(1)) {
-        for (value, weight) in channel.iter_mut().zip(&weights) {
-            *value *= weight;
-        }
-    }
-}
-
-fn photo_crop(photo: &ColorImage, rect: PixelRect) -> Vec<f32> {
-    let num = rect.num_pixels();
-    let width = photo.width() as usize;
-    let mut out = vec![0.0f32; 3 * num];
-    for row in 0..rect.height {
-        let from = (rect.y + row) * width + rect.x;
-        for (column, pixel) in photo.pixels()[from..from + rect.width].iter().enumerate() {
-            for (channel, &byte) in pixel.iter().enumerate() {
-                out[channel * num + row * rect.width + column] = super::texels::from_byte(byte);
-            }
-        }
-    }
-    out
-}
+#[cfg(test)]
+mod tests;

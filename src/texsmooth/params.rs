@@ -78,6 +78,11 @@ pub struct TexSmoothParams {
     /// this: it shows a mean over them, and would blur what a nearer photo shows. 0: all count alike
     /// (the paper).
     pub resolution_exponent: f32,
+    /// How many times a pixel counts at texels that were painted from its photo. The L1 term alone has
+    /// its least at the median over the views: where this is as much as all others together that is
+    /// the photo itself, with its grain; where it is less, the photo as far as it agrees with the
+    /// middle of the others. 1: all count alike (the paper).
+    pub own_weight: f32,
     /// Whether there is a discriminator; without one only the L1 term is left.
     pub has_discriminator: bool,
     /// The discriminator.
@@ -120,7 +125,7 @@ impl Default for TexSmoothParams {
             start: SmoothStart::Texture,
             crop_px: 256,
             max_jitter_px: 69,
-            learning_rate: 1e-2,
+            learning_rate: 4e-3,
             final_learning_rate_share: 0.1,
             betas: [0.5, 0.999],
             lambda: 10.0,
@@ -128,6 +133,7 @@ impl Default for TexSmoothParams {
             lambda_period: 960,
             l1_target: L1Target::Photo,
             resolution_exponent: 2.0,
+            own_weight: 50.0,
             has_discriminator: true,
             discriminator: DiscriminatorParams::default(),
             gate: Gate::WhenBehind,
@@ -157,6 +163,7 @@ impl TexSmoothParams {
             final_learning_rate_share: 1.0,
             l1_target: L1Target::Partner,
             resolution_exponent: 0.0,
+            own_weight: 1.0,
             discriminator: DiscriminatorParams {
                 padding: Padding::One,
                 ..DiscriminatorParams::default()

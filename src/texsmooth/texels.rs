@@ -69,6 +69,8 @@ const EPSILON: f32 = 1e-8;
 pub(super) struct Tile {
     /// NaN where nothing is painted; empty when that is everywhere.
     pub(super) value: Vec<[f32; 3]>,
+    /// Where the value came from before the first step; empty when nothing is painted.
+    source: Vec<TexelSource>,
     pub(super) moments: Option<Box<Moments>>,
 }
 
@@ -133,15 +135,21 @@ impl Texels {
                 .map(|tile| {
                     let corner = [tile % tile_columns, tile / tile_columns].map(|t| t * TILE_TEXEL);
                     let mut value = vec![[f32::NAN; 3]; TILE_AREA];
+                    let mut source = vec![TexelSource::NONE; TILE_AREA];
                     let mut is_painted = false;
                     for_each_place(corner, size_texel, |place, index| {
                         if page.source[index] != TexelSource::NONE {
                             value[place] = page.srgb[index].map(from_byte);
+                            source[place] = page.source[index];
                             is_painted = true;
                         }
                     });
+                    if !is_painted {
+                        return Tile::default();
+                    }
                     Tile {
-                        value: if is_painted { value } else { Vec::new() },
+                        value,
+                        source,
                         moments: None,
                     }
                 })
@@ -240,6 +248,22 @@ impl Texels {
         }
         found.weight.iter_mut().for_each(|weight| *weight /= total);
         found
+    }
+
+    /// Where the colour of the texel that counts most came from, before the first step.
+    pub(super) fn source(&self, footprint: &Footprint) -> TexelSource {
+        let mut most = 0;
+        for corner in 1..4 {
+            if footprint.weight[corner] > footprint.weight[most] {
+                most = corner;
+            }
+        }
+        let address = footprint.texel[most];
+        let tile = &self.tiles[address.tile()];
+        tile.source
+            .get(address.place())
+            .copied()
+            .unwrap_or(TexelSource::NONE)
     }
 
     fn value(&self, address: TexelAddress) -> [f32; 3] {

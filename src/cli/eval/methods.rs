@@ -86,10 +86,13 @@ const ADVTEX_C: &[(&str, &str)] = &[
     ("texsmooth.iterations", NUM_STEPS),
     ("texsmooth.align", "false"),
 ];
+/// From grey there is far to go, and no photo is a texel's own.
 const ADVTEX_B: &[(&str, &str)] = &[
     ("texsmooth.start", "blank"),
     ("texsmooth.iterations", NUM_STEPS),
     ("texsmooth.align", "false"),
+    ("texsmooth.learning_rate", "0.05"),
+    ("texsmooth.own_weight", "1"),
 ];
 
 const FAST: &[(&str, &str)] = &[

@@ -7,10 +7,15 @@ use super::super::conjugate::{self, Stop};
 use super::SeamParams;
 use super::apply::Painter;
 use super::nodes::{NO_NODE, Nodes};
-use super::samples::Seam;
+use super::samples::{Seam, belief};
 
 /// Corrections below this are nothing that a byte could show.
 const MIN_CORRECTION: f32 = 1e-4;
+
+/// Steps whose doubt is smaller count alike, linear light squared.
+const MIN_VARIANCE: f64 = 1e-6;
+/// So many samples along a seam are wrong together.
+const SAMPLES_ALIKE: f64 = 4.0;
 
 /// Two nodes, the weight of their difference, and what it should be.
 struct Link {
@@ -104,30 +109,39 @@ fn smoothness(nodes: &Nodes) -> Vec<Link> {
     pairs.into_iter().map(link).collect()
 }
 
-/// At each end of the seam: the mean step, samples counting the less the farther they are from it.
+/// At each end of the seam: the mean step as far as it is believed, samples counting the less the
+/// farther they are from it and the more doubtful they are.
 fn steps(nodes: &Nodes, seam: &Seam, step_weight: f64) -> impl Iterator<Item = Link> {
     let corners = seam
         .sides
         .map(|side| (nodes.of(side.triangle), side.corners));
     [0, 1].into_iter().filter_map(move |end| {
         let [from, to] = corners.map(|(nodes, corners)| nodes[corners[end]]);
+        let mut near = 0.0;
         let mut total = 0.0;
         let mut sum = [0.0; 3];
+        let mut doubt = 0.0;
         for (k, step) in seam.steps.iter().enumerate() {
             let Some(step) = step else { continue };
             let share = seam.share_of(k);
             let nearness = if end == 0 { 1.0 - share } else { share };
-            total += nearness;
+            let variance = f64::from(seam.doubts[k]).powi(2);
+            let weight = nearness / variance.max(MIN_VARIANCE);
+            near += nearness;
+            total += weight;
+            doubt += weight * weight * variance;
             for c in 0..3 {
-                sum[c] -= nearness * f64::from(step[c]);
+                sum[c] -= weight * f64::from(step[c]);
             }
         }
-        let usable = total / seam.steps.len() as f64;
+        let usable = near / seam.steps.len() as f64;
+        let mean = sum.map(|sum| sum / total);
+        let believed = belief(&mean, SAMPLES_ALIKE * doubt / (total * total));
         (usable > 0.0 && from != NO_NODE && to != NO_NODE && from != to).then(|| Link {
             from,
             to,
             weight: step_weight * usable,
-            wanted: sum.map(|sum| sum / total),
+            wanted: mean.map(|step| believed * step),
         })
     })
 }

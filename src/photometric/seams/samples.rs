@@ -43,6 +43,9 @@ pub(super) struct Seam {
     /// Colour of the second side less that of the first, linear, at (k + ½) / n of the way; `None`
     /// where one side is not there or the step is too large.
     pub(super) steps: Vec<Option<[f32; 3]>>,
+    /// Of each step, how large it may be by chance (one standard deviation): the surface's own
+    /// colours, seen through poses and a mesh that are not exact. 0 where that is not known.
+    pub(super) doubts: Vec<f32>,
 }
 
 impl Seam {
@@ -111,6 +114,7 @@ fn seam(mesh: &TriMesh, layout: &AtlasLayout, half_edges: [u32; 2]) -> Seam {
         length_m: (end_m - start_m).norm(),
         num_samples,
         steps: vec![None; num_samples],
+        doubts: vec![0.0; num_samples],
     }
 }
 
@@ -168,22 +172,56 @@ pub(super) fn sample_photos(
         let [start_m, end_m] = seam.ends.map(|v| mesh.positions_m()[v as usize]);
         for k in 0..seam.num_samples {
             let point_m = start_m + (end_m - start_m) * seam.share_of(k);
-            let step = match photos {
-                (Some(first), Some(second)) => first
-                    .linear_at(&point_m)
-                    .zip(second.linear_at(&point_m))
-                    .map(|(first, second)| std::array::from_fn(|c| second[c] - first[c])),
+            let seen = match photos {
+                (Some(first), Some(second)) => {
+                    first.linear_at(&point_m).zip(second.linear_at(&point_m))
+                }
                 _ => None,
             };
-            seam.steps[k] =
-                step.filter(|step: &[f32; 3]| step.iter().all(|s| f64::from(s.abs()) <= max_step));
+            let step = seen.map(|((first, _), (second, _))| {
+                std::array::from_fn::<f32, 3, _>(|c| second[c] - first[c])
+            });
+            seam.steps[k] = step.filter(|step| step.iter().all(|s| f64::from(s.abs()) <= max_step));
+            seam.doubts[k] = seen.map_or(0.0, |((_, first), (_, second))| {
+                (first * first + second * second).sqrt() * MISPLACED_PX + STEP_NOISE
+            });
         }
     });
 }
 
+/// How far apart two photos show a point, in pixels of the reduced photo.
+const MISPLACED_PX: f32 = 0.5;
+/// Linear light by which two photos differ without a reason.
+const STEP_NOISE: f32 = 0.002;
+
+/// The share of a mean step that is believed, by the square of its doubt (the positive part of
+/// James and Stein's estimator).
+pub(super) fn belief(step: &[f64; 3], variance: f64) -> f64 {
+    let square = step.iter().map(|s| s * s).sum::<f64>() / 3.0;
+    if variance <= 0.0 {
+        1.0
+    } else {
+        (1.0 - variance / square.max(f64::MIN_POSITIVE)).max(0.0)
+    }
+}
+
+/// Lowers each step by the doubt about it.
+pub(super) fn shrink(seams: &mut [Seam]) {
+    for seam in seams {
+        for (step, doubt) in seam.steps.iter_mut().zip(&seam.doubts) {
+            if let Some(step) = step {
+                let share = belief(&step.map(f64::from), f64::from(*doubt).powi(2));
+                #[expect(clippy::cast_possible_truncation, reason = "rounding to f32 is meant")]
+                step.iter_mut().for_each(|s| *s *= share as f32);
+            }
+        }
+    }
+}
+
 impl SeamPhoto {
-    /// Linear colour where a point lands; `None` outside the photo, or where it is clipped.
-    fn linear_at(&self, point_m: &Point3<f64>) -> Option<[f32; 3]> {
+    /// Linear colour where a point lands, and how much it changes per pixel there; `None` outside the
+    /// photo, or where it is clipped.
+    fn linear_at(&self, point_m: &Point3<f64>) -> Option<([f32; 3], f32)> {
         let pixel = self
             .camera
             .project(&self.camera_from_world.transform_point(point_m))?;
@@ -191,15 +229,26 @@ impl SeamPhoto {
             return None;
         }
         #[expect(clippy::cast_possible_truncation, reason = "rounding to f32 is meant")]
-        let srgb = self.color.sample_bilinear(pixel.map(|px| px as f32));
+        let [x, y] = pixel.map(|px| px as f32);
+        let srgb = self.color.sample_bilinear([x, y]);
         let is_clipped = srgb.iter().any(|value| *value > 250.0);
         #[expect(
             clippy::cast_possible_truncation,
             clippy::cast_sign_loss,
             reason = "a mean of bytes"
         )]
-        let linear = srgb.map(|value| linear_from_srgb((value + 0.5) as u8));
-        (!is_clipped).then_some(linear)
+        let linear = |srgb: [f32; 3]| srgb.map(|value| linear_from_srgb((value + 0.5) as u8));
+        let beside = |dx: f32, dy: f32| {
+            let at = [x + dx, y + dy];
+            linear(self.color.sample_bilinear(at))
+        };
+        let slope = |a: [f32; 3], b: [f32; 3]| {
+            let square: f32 = a.iter().zip(&b).map(|(a, b)| (a - b) * (a - b)).sum();
+            square / 12.0
+        };
+        let across = slope(beside(-1.0, 0.0), beside(1.0, 0.0));
+        let down = slope(beside(0.0, -1.0), beside(0.0, 1.0));
+        (!is_clipped).then(|| (linear(srgb), (across + down).sqrt()))
     }
 }
 
