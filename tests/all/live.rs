@@ -9,7 +9,7 @@ use serde_json::Value;
 
 use crate::command::{small_tabletop, veneer_ok};
 use raw_peer::RawPeer;
-use rig::{Diagnostics, Rig, send_signal};
+use rig::{Diagnostics, Rig, free_port, http_get, send_signal};
 
 const INPUTS: [&str; 6] = [
     "/rgb/image/compressed",
@@ -113,6 +113,8 @@ fn live_is_replay_under_simulated_time() {
     ]);
     let saves = dir.path().join("saves");
     let folder = format!("save.folder:={}", saves.display());
+    let port = free_port();
+    let http = format!("http.port:={port}");
     let node = rig.node(
         dir.path(),
         &[
@@ -122,6 +124,8 @@ fn live_is_replay_under_simulated_time() {
             "mesh_frame:=map",
             "-p",
             &folder,
+            "-p",
+            &http,
             "-p",
             "save.on_shutdown:=scan.glb",
         ],
@@ -144,6 +148,12 @@ fn live_is_replay_under_simulated_time() {
         let taken = seen.number("inputs", &format!("{topic} taken"));
         assert_eq!(taken, sent(&said, topic), "a message was lost: {seen:?}");
     }
+    let (_, index) = http_get(port, "/");
+    let index: Value = serde_json::from_slice(&index).unwrap();
+    let (status, served) = http_get(port, index["url"].as_str().unwrap());
+    assert!(status.contains("200"), "{status}");
+    let (status, _) = http_get(port, "/1/1/scan.glb");
+    assert!(status.contains("404"), "{status}");
     let (success, _) = node.end("INT");
     assert!(success);
     let live = std::fs::read(saves.join("scan.glb")).unwrap();
