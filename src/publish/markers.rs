@@ -10,7 +10,7 @@ use crate::wire::geometry::WirePose;
 use crate::wire::marker::{self, Marker, MarkerTail};
 use crate::wire::{CompressedImage, MarkerArray, Message};
 
-use super::pieces::{self, Piece, Place, TooLarge};
+use super::pieces::{self, Piece, Place, Step, TooLarge};
 use super::sent::Sent;
 use super::{PublishError, PublishParams, Snapshot};
 
@@ -83,28 +83,30 @@ impl Markers {
                     piece: piece.clone(),
                     file,
                 };
-                let fits = marker(snapshot, 0, &built, params.viewer_format, &[]).len()
-                    <= params.max_message_bytes;
-                Ok(fits.then_some(built))
+                let step = Step {
+                    removed: Vec::new(),
+                    added: Some((0, built)),
+                };
+                let message = array(snapshot, std::slice::from_ref(&step), params.viewer_format);
+                let fits = message.len() <= params.max_message_bytes;
+                Ok(step.added.filter(|_| fits).map(|(_, built)| built))
             },
         )?;
         let change = self.sent.change(pieces::placed(cut))?;
-        let mut messages = Vec::new();
-        for step in pieces::in_steps(change) {
-            let Some((name, built)) = step.added else {
-                messages.extend(deletions(snapshot, &step.removed, params)?);
-                continue;
-            };
-            let added = marker(snapshot, name, &built, params.viewer_format, &step.removed);
-            if added.len() <= params.max_message_bytes {
-                messages.push(added);
-                continue;
-            }
-            messages.extend(deletions(snapshot, &step.removed, params)?);
-            let added = marker(snapshot, name, &built, params.viewer_format, &[]);
-            messages.push(params.checked("a marker", added)?);
-        }
-        Ok(messages)
+        let format = params.viewer_format;
+        // One deletion and its padding to the next.
+        let max_removed = params.max_message_bytes / (delete_all(snapshot).len() + 8);
+        let groups = pieces::grouped(
+            pieces::in_steps(change),
+            params.max_message_bytes,
+            max_removed,
+            &|step| array(snapshot, std::slice::from_ref(step), format).len(),
+        );
+        let messages = groups.iter().map(|steps| {
+            let message = array(snapshot, steps, format);
+            params.checked("a marker", message)
+        });
+        messages.collect()
     }
 }
 
@@ -135,24 +137,6 @@ fn deletion<'a>(snapshot: &Snapshot<'a>, name: u32) -> Marker<'a> {
     blank(snapshot, name.cast_signed(), marker::DELETE)
 }
 
-/// Deletions of the markers of these names, as many in a message as it holds.
-fn deletions(
-    snapshot: &Snapshot<'_>,
-    names: &[u32],
-    params: &PublishParams,
-) -> Result<Vec<Vec<u8>>, PublishError> {
-    // One marker and its padding to the next.
-    let one = delete_all(snapshot).len() + 8;
-    let per_message = (params.max_message_bytes / one).max(1);
-    let messages = names.chunks(per_message).map(|names| {
-        let array = MarkerArray {
-            markers: names.iter().map(|&n| deletion(snapshot, n)).collect(),
-        };
-        params.checked("a marker", array.encode())
-    });
-    messages.collect()
-}
-
 /// Beyond this distance from the frame's origin points are relative to a pose of their own: rviz2
 /// draws in single precision.
 const MAX_ABSOLUTE_COORDINATE_M: f64 = 1000.0;
@@ -169,21 +153,43 @@ fn origin_m(piece: &Piece) -> [f64; 3] {
     }
 }
 
-/// A piece as a marker, after the deletion of others.
-fn marker(
-    snapshot: &Snapshot<'_>,
+/// Textures of one name share their picture, across all of rviz2.
+fn texture_name(snapshot: &Snapshot<'_>, name: u32) -> String {
+    format!("embedded://veneer_{:016x}_{name:010}", snapshot.session)
+}
+
+/// What some steps delete and add, as a message.
+fn array(snapshot: &Snapshot<'_>, steps: &[Step<Textured>], format: PageFormat) -> Vec<u8> {
+    let resources: Vec<String> = steps
+        .iter()
+        .map(|step| {
+            let added = step.added.as_ref();
+            added.map_or_else(String::new, |(name, _)| texture_name(snapshot, *name))
+        })
+        .collect();
+    let mut markers = Vec::new();
+    for (step, resource) in steps.iter().zip(&resources) {
+        let removed = step.removed.iter();
+        markers.extend(removed.map(|&name| deletion(snapshot, name)));
+        if let Some((name, built)) = &step.added {
+            markers.push(marker(snapshot, *name, built, format, resource));
+        }
+    }
+    MarkerArray { markers }.encode()
+}
+
+fn marker<'a>(
+    snapshot: &Snapshot<'a>,
     name: u32,
-    built: &Textured,
+    built: &'a Textured,
     format: PageFormat,
-    removed: &[u32],
-) -> Vec<u8> {
+    resource: &'a str,
+) -> Marker<'a> {
     let Textured { piece, file } = built;
     let origin_m = origin_m(piece);
     let relative = |[x, y, z]: [f64; 3]| [x - origin_m[0], y - origin_m[1], z - origin_m[2]];
     let triangles = || piece.triangles.iter();
-    // Textures of one name share their picture, across all of rviz2.
-    let resource = format!("embedded://veneer_{:016x}_{name:010}", snapshot.session);
-    let added = Marker {
+    Marker {
         pose: WirePose {
             position_m: origin_m,
             ..WirePose::IDENTITY
@@ -192,7 +198,7 @@ fn marker(
             .flat_map(|triangle| triangle.corners_m.map(relative))
             .collect(),
         tail: MarkerTail {
-            texture_resource: &resource,
+            texture_resource: resource,
             texture: CompressedImage {
                 header: snapshot.header(),
                 format: match format {
@@ -207,8 +213,5 @@ fn marker(
             ..MarkerTail::default()
         },
         ..blank(snapshot, name.cast_signed(), marker::ADD)
-    };
-    let mut markers: Vec<Marker<'_>> = removed.iter().map(|&n| deletion(snapshot, n)).collect();
-    markers.push(added);
-    MarkerArray { markers }.encode()
+    }
 }

@@ -1,9 +1,9 @@
 //! The textured mesh cut into pieces, each with a texture of its own, so that a piece fits into a
 //! message.
 //!
-//! A quadtree over each page: a node has the triangles whose centre on the page lies in its square,
-//! and with them the texels around them, cut out of the page. What does not fit is divided at the
-//! middle of its square, so that a change stays in the squares that it touches. A triangle that alone
+//! A binary tree over each page: a node has the triangles whose centre on the page lies in its
+//! rectangle, and with them the texels around them, cut out of the page. What does not fit is divided at
+//! the middle of its rectangle, so that a change stays in the rectangles that it touches. A triangle that alone
 //! is too large is divided at the middles of its edges, in the plane and in space alike.
 
 use std::collections::BTreeSet;
@@ -98,6 +98,49 @@ pub(super) fn in_steps<T>(change: Change<(Place, Option<T>), Place>) -> Vec<Step
         steps.insert(0, first);
     }
     steps
+}
+
+/// Steps that go together into one message each, in order. `length` is that of a message with one step;
+/// a step that is longer than a message is taken apart, `max_removed` names to a message.
+pub(super) fn grouped<T>(
+    steps: Vec<Step<T>>,
+    max_bytes: usize,
+    max_removed: usize,
+    length: &dyn Fn(&Step<T>) -> usize,
+) -> Vec<Vec<Step<T>>> {
+    let mut groups: Vec<Vec<Step<T>>> = Vec::new();
+    let mut num_free = 0;
+    let mut push = |step: Step<T>| {
+        // Elements are aligned to at most 8 bytes.
+        let num_bytes = length(&step) + 8;
+        match groups.last_mut() {
+            Some(group) if num_bytes <= num_free => group.push(step),
+            _ => {
+                groups.push(vec![step]);
+                num_free = max_bytes;
+            }
+        }
+        num_free = num_free.saturating_sub(num_bytes);
+    };
+    for step in steps {
+        if length(&step) <= max_bytes {
+            push(step);
+            continue;
+        }
+        for removed in step.removed.chunks(max_removed.max(1)) {
+            push(Step {
+                removed: removed.to_vec(),
+                added: None,
+            });
+        }
+        if let Some(added) = step.added {
+            push(Step {
+                removed: Vec::new(),
+                added: Some(added),
+            });
+        }
+    }
+    groups
 }
 
 fn names(removed: Vec<(u32, Place)>) -> Vec<u32> {
@@ -216,34 +259,40 @@ fn whole(coordinate: f32) -> u32 {
     coordinate as u32
 }
 
-/// A square of a page and the triangles in it.
+/// A rectangle of a page and the triangles in it.
 struct Node {
     page: u32,
-    square: Square,
+    region: Region,
     triangles: Vec<PieceTriangle>,
 }
 
+/// Upper left corner and size, texels.
 #[derive(Clone, Copy)]
-struct Square {
-    x: f32,
-    y: f32,
-    side: f32,
+struct Region {
+    low: [f32; 2],
+    size: [f32; 2],
 }
 
-impl Square {
-    fn quadrant_of(&self, [x, y]: [f32; 2]) -> usize {
-        let half = self.side * 0.5;
-        usize::from(x >= self.x + half) + 2 * usize::from(y >= self.y + half)
+impl Region {
+    /// The axis across which it is divided.
+    fn axis(&self) -> usize {
+        usize::from(self.size[1] > self.size[0])
     }
 
-    fn quadrant(&self, index: usize) -> Self {
-        let side = self.side * 0.5;
-        let offset = |bit: usize| if index & bit == 0 { 0.0 } else { side };
-        Self {
-            x: self.x + offset(1),
-            y: self.y + offset(2),
-            side,
+    /// Which half holds a point.
+    fn half_of(&self, point: [f32; 2]) -> usize {
+        let axis = self.axis();
+        usize::from(point[axis] >= self.low[axis] + self.size[axis] * 0.5)
+    }
+
+    fn half(&self, index: usize) -> Self {
+        let axis = self.axis();
+        let mut half = *self;
+        half.size[axis] *= 0.5;
+        if index == 1 {
+            half.low[axis] += half.size[axis];
         }
+        half
     }
 }
 
@@ -254,8 +303,8 @@ enum Judged<T> {
     FarTooLarge(Node),
 }
 
-/// Squares smaller than this are not divided; their triangles are, by number.
-const SMALLEST_SQUARE_TEXEL: f32 = 0.25;
+/// Smaller rectangles are not divided; their triangles are, by number.
+const SMALLEST_REGION_TEXEL: f32 = 0.25;
 
 /// Cuts the mesh into pieces for which `build` gives something. Of pieces that `is_known` nothing is
 /// built. The order depends on the input only.
@@ -296,15 +345,15 @@ pub(super) fn cut<T: Send>(
 fn roots(textured: &TexturedMesh<'_>) -> Vec<Node> {
     let layout = textured.layout();
     let [width, height] = layout.page_size_texel;
-    let square = Square {
-        x: 0.0,
-        y: 0.0,
-        side: width.max(height).next_power_of_two() as f32,
+    // Powers of two, so that the middles stay where they are when a page grows taller.
+    let region = Region {
+        low: [0.0; 2],
+        size: [width, height].map(|side| side.next_power_of_two() as f32),
     };
     let mut roots: Vec<Node> = (0..layout.num_pages)
         .map(|page| Node {
             page,
-            square,
+            region,
             triangles: Vec::new(),
         })
         .collect();
@@ -356,7 +405,7 @@ fn judge<T>(
     }
     let node = Node {
         page: piece.page,
-        square: node.square,
+        region: node.region,
         triangles: piece.triangles,
     };
     Ok(Judged::TooLarge(digest, node))
@@ -369,38 +418,34 @@ const SMALL_TRIANGLE_TEXEL: f32 = 16.0;
 fn divide(node: Node, params: &PublishParams, nodes: &mut Vec<Node>) -> Result<(), PublishError> {
     let Node {
         page,
-        mut square,
+        mut region,
         triangles,
     } = node;
     if let [triangle] = triangles.as_slice() {
         return divide_triangle(page, triangle, params, nodes);
     }
-    while square.side >= SMALLEST_SQUARE_TEXEL {
-        let mut quadrants: [Vec<PieceTriangle>; 4] = Default::default();
-        for triangle in &triangles {
-            quadrants[square.quadrant_of(triangle.center_texel())].push(*triangle);
-        }
-        let whole = quadrants.iter().position(|q| q.len() == triangles.len());
-        if let Some(index) = whole {
-            // The same triangles in a smaller square are no smaller.
-            square = square.quadrant(index);
+    while region.size[region.axis()] >= SMALLEST_REGION_TEXEL {
+        let (upper, lower): (Vec<_>, Vec<_>) = triangles
+            .iter()
+            .partition(|triangle| region.half_of(triangle.center_texel()) == 0);
+        // The same triangles in a smaller rectangle are no smaller.
+        if lower.is_empty() || upper.is_empty() {
+            region = region.half(usize::from(upper.is_empty()));
             continue;
         }
-        for (index, triangles) in quadrants.into_iter().enumerate() {
-            if !triangles.is_empty() {
-                nodes.push(Node {
-                    page,
-                    square: square.quadrant(index),
-                    triangles,
-                });
-            }
+        for (index, triangles) in [upper, lower].into_iter().enumerate() {
+            nodes.push(Node {
+                page,
+                region: region.half(index),
+                triangles,
+            });
         }
         return Ok(());
     }
     for half in triangles.chunks(triangles.len().div_ceil(2)) {
         nodes.push(Node {
             page,
-            square,
+            region,
             triangles: half.to_vec(),
         });
     }
@@ -419,8 +464,7 @@ fn divide_triangle(
         (low, a.max(b).max(c) - low)
     };
     let [(x, width), (y, height)] = [extent(0), extent(1)];
-    let side = width.max(height);
-    if side <= SMALL_TRIANGLE_TEXEL {
+    if width.max(height) <= SMALL_TRIANGLE_TEXEL {
         return Err(PublishError::DoesNotFit {
             what: "a small triangle with its texels",
             needed_bytes: params.max_message_bytes + 1,
@@ -429,7 +473,10 @@ fn divide_triangle(
     }
     nodes.push(Node {
         page,
-        square: Square { x, y, side },
+        region: Region {
+            low: [x, y],
+            size: [width, height],
+        },
         triangles: triangle.quarters().to_vec(),
     });
     Ok(())

@@ -12,7 +12,7 @@ use crate::wire::geometry::WirePose;
 use crate::wire::scene_update::{self, ModelPrimitive, SceneEntity, SceneEntityDeletion};
 use crate::wire::{Message, SceneUpdate};
 
-use super::pieces::{self, Piece, Place, TooLarge};
+use super::pieces::{self, Piece, Place, Step, TooLarge};
 use super::sent::Sent;
 use super::{PublishError, PublishParams, Snapshot, crop};
 
@@ -76,26 +76,27 @@ impl Scene {
             &|digest| sent.contains(digest),
             &|piece, page| {
                 let file = piece_glb(piece, page, params.viewer_format)?;
-                let fits = entity(snapshot, 0, &file, &[]).len() <= params.max_message_bytes;
-                Ok(fits.then_some(file))
+                let step = Step {
+                    removed: Vec::new(),
+                    added: Some((0, file)),
+                };
+                let message = update(snapshot, std::slice::from_ref(&step));
+                let fits = message.len() <= params.max_message_bytes;
+                Ok(step.added.filter(|_| fits).map(|(_, file)| file))
             },
         )?;
         let change = self.sent.change(pieces::placed(cut))?;
-        let mut messages = Vec::new();
-        for step in pieces::in_steps(change) {
-            let Some((name, file)) = step.added else {
-                messages.extend(deletions(&step.removed, params)?);
-                continue;
-            };
-            let added = entity(snapshot, name, &file, &step.removed);
-            if added.len() <= params.max_message_bytes {
-                messages.push(added);
-                continue;
-            }
-            messages.extend(deletions(&step.removed, params)?);
-            messages.push(params.checked("a scene", entity(snapshot, name, &file, &[]))?);
-        }
-        Ok(messages)
+        let max_removed = (params.max_message_bytes / DELETION_BYTES).max(2) - 1;
+        let groups = pieces::grouped(
+            pieces::in_steps(change),
+            params.max_message_bytes,
+            max_removed,
+            &|step| update(snapshot, std::slice::from_ref(step)).len(),
+        );
+        let messages = groups
+            .iter()
+            .map(|steps| params.checked("a scene", update(snapshot, steps)));
+        messages.collect()
     }
 }
 
@@ -116,29 +117,26 @@ fn deletion(kind: u8, id: String) -> SceneEntityDeletion<'static> {
     }
 }
 
-fn deletions_of(names: &[u32]) -> Vec<SceneEntityDeletion<'static>> {
-    let ids = names.iter().map(|&name| entity_id(name));
-    ids.map(|id| deletion(scene_update::MATCHING_ID, id))
-        .collect()
-}
-
 /// Bytes of a deletion, padding included.
 const DELETION_BYTES: usize = 48;
 
-fn deletions(names: &[u32], params: &PublishParams) -> Result<Vec<Vec<u8>>, PublishError> {
-    let per_message = (params.max_message_bytes / DELETION_BYTES).max(2) - 1;
-    let messages = names.chunks(per_message).map(|names| {
-        let update = SceneUpdate {
-            deletions: deletions_of(names),
-            entities: Vec::new(),
-        };
-        params.checked("a scene", update.encode())
-    });
-    messages.collect()
+/// What some steps delete and add, as a message. Deletions come first in it, whatever the order: names
+/// are never used twice.
+fn update(snapshot: &Snapshot<'_>, steps: &[Step<Vec<u8>>]) -> Vec<u8> {
+    let removed = steps.iter().flat_map(|step| &step.removed);
+    let added = steps.iter().filter_map(|step| step.added.as_ref());
+    SceneUpdate {
+        deletions: removed
+            .map(|&name| deletion(scene_update::MATCHING_ID, entity_id(name)))
+            .collect(),
+        entities: added
+            .map(|(name, file)| entity(snapshot, *name, file))
+            .collect(),
+    }
+    .encode()
 }
 
-/// A piece as an entity, after the deletion of others.
-fn entity(snapshot: &Snapshot<'_>, name: u32, file: &[u8], removed: &[u32]) -> Vec<u8> {
+fn entity<'a>(snapshot: &Snapshot<'a>, name: u32, file: &'a [u8]) -> SceneEntity<'a> {
     let model = ModelPrimitive {
         pose: WirePose::IDENTITY,
         scale: [1.0; 3],
@@ -148,7 +146,7 @@ fn entity(snapshot: &Snapshot<'_>, name: u32, file: &[u8], removed: &[u32]) -> V
         media_type: "model/gltf-binary",
         data: file.into(),
     };
-    let entity = SceneEntity {
+    SceneEntity {
         timestamp: snapshot.stamp,
         frame_id: snapshot.frame_id,
         id: entity_id(name).into(),
@@ -156,12 +154,7 @@ fn entity(snapshot: &Snapshot<'_>, name: u32, file: &[u8], removed: &[u32]) -> V
         frame_locked: true,
         metadata: Vec::new(),
         models: vec![model],
-    };
-    SceneUpdate {
-        deletions: deletions_of(removed),
-        entities: vec![entity],
     }
-    .encode()
 }
 
 /// A piece as a GLB file of its own.

@@ -213,19 +213,24 @@ fn a_piece_goes_in_the_message_in_which_another_takes_its_place() {
     let change = publisher
         .publish(&scan.made().snapshot(2), &everything)
         .unwrap();
+    // Nothing went for good: every message that deletes adds what takes the place.
     let mut num_replaced = 0;
     for message in messages_of(&change, OutputTopic::Markers) {
         let array = MarkerArray::decode(message).unwrap();
-        let (last, before) = array.markers.split_last().unwrap();
-        assert_eq!(last.action, marker::ADD);
-        assert!(before.iter().all(|marker| marker.action == marker::DELETE));
-        num_replaced += before.len();
+        let actions: Vec<i32> = array.markers.iter().map(|marker| marker.action).collect();
+        assert_eq!(actions.last(), Some(&marker::ADD));
+        assert!(
+            actions
+                .iter()
+                .all(|a| [marker::ADD, marker::DELETE].contains(a))
+        );
+        num_replaced += actions.iter().filter(|a| **a == marker::DELETE).count();
     }
     assert!(num_replaced > 0);
     let mut num_deleted = 0;
     for message in messages_of(&change, OutputTopic::Scene) {
         let update = SceneUpdate::decode(message).unwrap();
-        assert_eq!(update.entities.len(), 1);
+        assert!(!update.entities.is_empty());
         num_deleted += update.deletions.len();
     }
     assert!(num_deleted > 0);
