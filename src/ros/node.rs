@@ -37,6 +37,9 @@ const LOOK_PERIOD: Duration = Duration::from_millis(100);
 /// After a change of the graph, how long our list of readers and writers is sent again.
 const RESEND: Duration = Duration::from_secs(3);
 
+/// How long the end waits for what is being published.
+const PATIENCE: Duration = Duration::from_millis(500);
+
 /// What a node is made of.
 #[derive(Clone, Debug)]
 pub struct NodeSetup {
@@ -235,7 +238,12 @@ impl Running {
             }
         }
         control.shared.shut();
-        if publishing.join().is_err() {
+        // It may be making the messages of a large scan, which nobody will get.
+        let begun = Instant::now();
+        while !publishing.is_finished() && begun.elapsed() < PATIENCE {
+            std::thread::sleep(PATIENCE / 100);
+        }
+        if publishing.is_finished() && publishing.join().is_err() {
             tracing::error!("the thread that publishes has panicked");
         }
         drop(control);

@@ -164,6 +164,7 @@ fn live_is_replay_under_simulated_time() {
         live.len(),
         replayed.len()
     );
+    assert!(served == live, "what is served is what is saved");
 }
 
 #[test]
@@ -287,6 +288,19 @@ fn parameters_services_and_lifecycle_answer_rclpy() {
         graph["services"]["/robot/painter/save"].is_array(),
         "{graph}"
     );
+    let page = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/topics.md");
+    let page = std::fs::read_to_string(page).unwrap();
+    for kind in ["subscriptions", "publishers", "services"] {
+        for name in graph[kind].as_object().unwrap().keys() {
+            let private = name.strip_prefix("/robot/painter/");
+            let written = match (private, name.strip_prefix("/robot/")) {
+                (Some(private), _) => format!("`~/{private}`"),
+                (None, Some(relative)) => format!("`{relative}`"),
+                (None, None) => format!("`{name}`"),
+            };
+            assert!(page.contains(&written), "docs/topics.md lacks {written}");
+        }
+    }
     assert!(node.is_running());
 }
 
