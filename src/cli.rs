@@ -114,7 +114,10 @@ fn split_ros_args(args: Vec<OsString>) -> Result<(Option<RosArgs>, Vec<OsString>
         })
         .collect::<Result<_, _>>()?;
     let (ros_args, own) = RosArgs::split(words).map_err(|error| Usage(error.to_string()))?;
-    Ok((Some(ros_args), own.into_iter().map(OsString::from).collect()))
+    Ok((
+        Some(ros_args),
+        own.into_iter().map(OsString::from).collect(),
+    ))
 }
 
 /// clap's own exit codes are the house's: 0 for help and version, 2 for wrong usage.

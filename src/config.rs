@@ -29,10 +29,10 @@ pub struct Config {
     pub pipeline: PipelineParams,
     /// What is written.
     pub export: ExportParams,
-    /// How the result becomes messages.
-    pub publish: PublishParams,
     /// The live node.
     pub node: NodeParams,
+    /// How the result becomes messages.
+    pub publish: PublishParams,
 }
 
 impl Config {

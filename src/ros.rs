@@ -20,6 +20,7 @@ pub mod env;
 pub mod error;
 pub mod files;
 mod graph;
+mod http;
 pub mod inbox;
 pub mod inputs;
 pub mod lifecycle;

@@ -7,6 +7,7 @@ use clap::Args;
 
 use super::Usage;
 use crate::config::{Config, ParameterError, params_file};
+use crate::ros::env::Security;
 use crate::ros::rosout::LogLines;
 use crate::ros::{Network, NodeSetup, RosArgs, node};
 
@@ -59,6 +60,7 @@ pub(super) fn run(
     let usage = |error: &dyn std::fmt::Display| Usage(error.to_string());
     let names = ros_args.resolver(NODE_NAME).map_err(|e| usage(&e))?;
     let network = Network::from_process().map_err(|e| usage(&e))?;
+    let security = Security::from_process(ros_args.enclave.as_deref()).map_err(|e| usage(&e))?;
     let mut config = Config::default();
     let full_name = names.node().fully_qualified();
     for path in args.params_file.iter().chain(&ros_args.params_files) {
@@ -93,6 +95,7 @@ pub(super) fn run(
         config,
         names,
         network,
+        security,
         log_lines: log_lines.filter(|_| ros_args.has_rosout),
     };
     node::run(&setup, &stop)?;

@@ -2,8 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use super::parameter::ParameterError;
 use super::Config;
+use super::parameter::ParameterError;
 use crate::wire::event::MessageType;
 
 /// How images come.
@@ -106,7 +106,11 @@ pub(super) fn set_qos(config: &mut Config, name: &str, value: &str) -> Result<()
     };
     let (rest, policy) = name.rsplit_once('.').ok_or_else(refuse)?;
     let topic = rest.strip_suffix(".subscription").ok_or_else(refuse)?;
-    let entry = config.node.qos_overrides.entry(topic.to_owned()).or_default();
+    let entry = config
+        .node
+        .qos_overrides
+        .entry(topic.to_owned())
+        .or_default();
     match (policy, value.trim()) {
         ("reliability", "reliable") => entry.is_reliable = Some(true),
         ("reliability", "best_effort") => entry.is_reliable = Some(false),
@@ -126,7 +130,10 @@ pub(super) fn set_qos(config: &mut Config, name: &str, value: &str) -> Result<()
 /// Types of the mesh topic by the word that chooses them.
 const MESH_TYPES: [(&str, MessageType); 6] = [
     ("veneer/MeshUpdate", MessageType::MeshUpdate),
-    ("mesh_msgs/MeshGeometryStamped", MessageType::MeshGeometryStamped),
+    (
+        "mesh_msgs/MeshGeometryStamped",
+        MessageType::MeshGeometryStamped,
+    ),
     ("nvblox_msgs/Mesh", MessageType::NvbloxMesh),
     ("shape_msgs/Mesh", MessageType::ShapeMesh),
     ("visualization_msgs/Marker", MessageType::Marker),
@@ -206,10 +213,7 @@ mod tests {
         }
         let tf = config.node.qos_overrides["/tf"];
         assert_eq!((tf.is_reliable, tf.depth), (Some(false), Some(50)));
-        assert_eq!(
-            config.node.qos_overrides["/a/mesh"].is_latched,
-            Some(false)
-        );
+        assert_eq!(config.node.qos_overrides["/a/mesh"].is_latched, Some(false));
         for (name, value) in [
             ("qos_overrides./tf.subscription.depth", "4"),
             ("qos_overrides./tf.subscription.depth", "many"),

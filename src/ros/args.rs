@@ -27,7 +27,9 @@ pub enum ArgsError {
         form: &'static str,
     },
     /// Nothing of this name is known.
-    #[error("unknown ROS argument '{0}'; known are -r, -p, --params-file, --log-level, -e, --enable-rosout-logs, --disable-rosout-logs (and stdout, external-lib)")]
+    #[error(
+        "unknown ROS argument '{0}'; known are -r, -p, --params-file, --log-level, -e, --enable-rosout-logs, --disable-rosout-logs (and stdout, external-lib)"
+    )]
     Unknown(String),
     /// The level is none.
     #[error("log level '{0}' is none of debug, info, warn, error, fatal")]
@@ -130,7 +132,9 @@ impl RosArgs {
     ///
     /// # Errors
     /// [`ArgsError`] naming the word that cannot be used.
-    pub fn split(words: impl IntoIterator<Item = String>) -> Result<(Self, Vec<String>), ArgsError> {
+    pub fn split(
+        words: impl IntoIterator<Item = String>,
+    ) -> Result<(Self, Vec<String>), ArgsError> {
         let mut args = Self::default();
         let mut own = Vec::new();
         let mut is_inside = false;

@@ -61,7 +61,12 @@ impl Control {
         *state = goal;
         drop(state);
         self.apply();
-        tracing::info!("{}: {} → {}", transition.label(), start.label(), goal.label());
+        tracing::info!(
+            "{}: {} → {}",
+            transition.label(),
+            start.label(),
+            goal.label()
+        );
         Some((start, goal))
     }
 
@@ -131,12 +136,13 @@ impl Control {
         let config = self.shared.config();
         let folder = config.node.save_folder.as_deref();
         let loaded = files::confined(folder, path).and_then(|place: PathBuf| {
-            let (_, events) = files::load_session(&place)?;
-            Ok((place, events))
+            let (topics, events) = files::load_session(&place)?;
+            Ok((place, topics, events))
         });
-        let (place, events) = loaded.map_err(|error| error.to_string())?;
+        let (place, topics, events) = loaded.map_err(|error| error.to_string())?;
         let num_events = events.len();
-        self.engine.load(events).ok_or("the node is stopping")?;
+        let is_loaded = self.engine.load(topics, events);
+        is_loaded.ok_or("the node is stopping")?;
         Ok(format!("{num_events} events from {}", place.display()))
     }
 

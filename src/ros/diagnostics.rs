@@ -169,7 +169,11 @@ fn inputs(seen: &Observation<'_>) -> Finding {
         let words = "use_sim_time is set, but nobody publishes /clock: start the simulation, play the bag with --clock, or set use_sim_time to false";
         problems.push((Level::Error, words.to_owned()));
     }
-    let mut num_groups = seen.inputs.iter().map(|i| i.input.group).collect::<Vec<_>>();
+    let mut num_groups = seen
+        .inputs
+        .iter()
+        .map(|i| i.input.group)
+        .collect::<Vec<_>>();
     num_groups.dedup();
     for group in num_groups {
         let members: Vec<_> = seen
@@ -193,7 +197,10 @@ fn inputs(seen: &Observation<'_>) -> Finding {
             continue;
         }
         let topic = &input.input.topic;
-        values.push(value(format!("{topic} rate_hz"), format!("{:.1}", input.rate_hz)));
+        values.push(value(
+            format!("{topic} rate_hz"),
+            format!("{:.1}", input.rate_hz),
+        ));
         values.push(value(format!("{topic} received"), counts.num_received));
         values.push(value(format!("{topic} taken"), counts.num_taken));
         values.push(value(format!("{topic} lost"), counts.num_lost));
@@ -203,7 +210,12 @@ fn inputs(seen: &Observation<'_>) -> Finding {
             problems.push((Level::Warn, drop_words(input, seen.socket_remedy)));
         }
     }
-    finding("inputs", problems, "all that is needed arrives".to_owned(), values)
+    finding(
+        "inputs",
+        problems,
+        "all that is needed arrives".to_owned(),
+        values,
+    )
 }
 
 fn pose_topics<'a>(seen: &'a Observation<'_>) -> impl Iterator<Item = &'a str> {
@@ -256,7 +268,10 @@ fn input_problem(
     // A mesh or a static transform may rightly come once.
     let is_steady = !matches!(role, TopicRole::Mesh | TopicRole::StaticTransforms);
     (is_steady && newest > SILENT).then(|| {
-        let words = format!("{what}: {topics} is silent for {:.0} s", newest.as_secs_f64());
+        let words = format!(
+            "{what}: {topics} is silent for {:.0} s",
+            newest.as_secs_f64()
+        );
         (Level::Warn, words)
     })
 }
@@ -265,9 +280,8 @@ fn drop_words(input: &InputObservation<'_>, socket_remedy: Option<&str>) -> Stri
     let (topic, counts) = (&input.input.topic, &input.counts);
     let num = input.num_new_drops;
     if counts.num_lost > 0 {
-        let remedy = socket_remedy.unwrap_or(
-            "use compressed images, or set its qos_overrides reliability to reliable",
-        );
+        let remedy = socket_remedy
+            .unwrap_or("use compressed images, or set its qos_overrides reliability to reliable");
         format!("{topic}: {num} messages lost or dropped in the last second; {remedy}")
     } else {
         format!(
@@ -290,7 +304,12 @@ fn network(seen: &Observation<'_>) -> Finding {
         .iter()
         .map(|i| value(format!("{} publishers", i.input.topic), i.num_publishers))
         .collect();
-    finding("network", problems, "types and qualities of service fit".to_owned(), values)
+    finding(
+        "network",
+        problems,
+        "types and qualities of service fit".to_owned(),
+        values,
+    )
 }
 
 fn synchronisation(ingest: &IngestReport) -> Finding {
@@ -316,7 +335,12 @@ fn synchronisation(ingest: &IngestReport) -> Finding {
         value("max interval_s", format!("{:.4}", sync.max_interval_s)),
         value("frames", ingest.num_frames),
     ];
-    finding("synchronisation", problems, "every message was of use".to_owned(), values)
+    finding(
+        "synchronisation",
+        problems,
+        "every message was of use".to_owned(),
+        values,
+    )
 }
 
 fn transforms(ingest: &IngestReport) -> Finding {
@@ -336,7 +360,12 @@ fn transforms(ingest: &IngestReport) -> Finding {
         value("world frame", ingest.world_frame.as_deref().unwrap_or("")),
         value("pose source", ingest.pose_source.unwrap_or("")),
     ];
-    finding("transforms", problems, "every transform was of use".to_owned(), values)
+    finding(
+        "transforms",
+        problems,
+        "every transform was of use".to_owned(),
+        values,
+    )
 }
 
 fn keyframes(capture: &Capture) -> Finding {
@@ -390,7 +419,10 @@ fn painting(seen: &Observation<'_>) -> Finding {
         value("is painting", paint.is_painting),
     ];
     for (name, stage) in &paint.stages {
-        values.push(value(format!("{name} last_s"), format!("{:.3}", stage.last_s)));
+        values.push(value(
+            format!("{name} last_s"),
+            format!("{:.3}", stage.last_s),
+        ));
     }
     let fine = match paint.num_painted {
         0 => "nothing was painted yet".to_owned(),
@@ -427,7 +459,12 @@ fn outputs(seen: &Observation<'_>) -> Finding {
         }
     }
     let num_readers: usize = seen.outputs.iter().map(|output| output.num_readers).sum();
-    finding("outputs", problems, format!("{num_readers} readers"), values)
+    finding(
+        "outputs",
+        problems,
+        format!("{num_readers} readers"),
+        values,
+    )
 }
 
 fn process(seen: &Observation<'_>) -> Finding {
@@ -440,7 +477,12 @@ fn process(seen: &Observation<'_>) -> Finding {
         value("depth transport", format!("{:?}", seen.transports[1])),
     ];
     let megabytes = seen.memory_bytes as f64 / 1e6;
-    finding("process", Vec::new(), format!("{megabytes:.0} MB resident"), values)
+    finding(
+        "process",
+        Vec::new(),
+        format!("{megabytes:.0} MB resident"),
+        values,
+    )
 }
 
 /// The findings of `node`, serialised.
@@ -542,7 +584,11 @@ mod tests {
             "no camera pose on any of /tf, /pose, /odom",
             "remap",
         ] {
-            assert!(inputs.message.contains(words), "{words}: {}", inputs.message);
+            assert!(
+                inputs.message.contains(words),
+                "{words}: {}",
+                inputs.message
+            );
         }
         assert!(!inputs.message.contains("depth"), "{}", inputs.message);
     }
@@ -596,6 +642,9 @@ mod tests {
         assert_eq!(array.status.len(), 1);
         let status = &array.status[0];
         assert_eq!((status.level, status.name), (1, "/veneer: inputs"));
-        assert_eq!((status.message, &status.values[..]), ("x", &[("a", "1")][..]));
+        assert_eq!(
+            (status.message, &status.values[..]),
+            ("x", &[("a", "1")][..])
+        );
     }
 }

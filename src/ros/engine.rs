@@ -30,8 +30,8 @@ pub(super) enum Order {
     Reset(Sender<()>),
     /// Give up on what waits for a partner or a pose, and tell what there is.
     Capture(Sender<Capture>),
-    /// Take these events as if they had come, after forgetting the scan.
-    Load(Vec<TimedEvent>, Sender<()>),
+    /// Take these events as if they had come, after forgetting the scan; they refer to these topics.
+    Load(Vec<String>, Vec<TimedEvent>, Sender<()>),
 }
 
 /// How long a stage takes.
@@ -227,10 +227,11 @@ impl Engine {
         wait.recv().ok()
     }
 
-    /// Replaces the scan by what `events` hold; `None` when ingest has ended.
-    pub(super) fn load(&self, events: Vec<TimedEvent>) -> Option<()> {
+    /// Replaces the scan by what `events` hold, which refer to `topics`; `None` when ingest has
+    /// ended.
+    pub(super) fn load(&self, topics: Vec<String>, events: Vec<TimedEvent>) -> Option<()> {
         let (done, wait) = channel();
-        self.order(Order::Load(events, done));
+        self.order(Order::Load(topics, events, done));
         wait.recv().ok()
     }
 }
@@ -311,16 +312,18 @@ impl Ingest<'_> {
         match order {
             Order::Reset(done) => {
                 self.shared.inbox.clear();
-                self.reset();
+                self.reset(&[]);
                 done.send(()).ok();
             }
             Order::Capture(done) => {
                 self.flush();
                 done.send(self.scan.capture()).ok();
             }
-            Order::Load(events, done) => {
-                self.reset();
-                for event in events {
+            Order::Load(topics, events, done) => {
+                self.reset(&topics);
+                let first = self.source.topics().len();
+                for mut event in events {
+                    event.topic += first;
                     self.scan.push(event);
                 }
                 self.scan.flush();
@@ -331,11 +334,13 @@ impl Ingest<'_> {
         self.viewed = None;
     }
 
-    fn reset(&mut self) {
+    /// Forgets the scan; what is to come refers to the source's topics, and then to `others`.
+    fn reset(&mut self, others: &[String]) {
         let params = self.shared.config().pipeline;
         self.source.reset();
         let revision = self.scan.revision() + 1;
-        self.scan = LiveScan::new(&params, self.source.topics(), revision);
+        let topics = [self.source.topics(), others].concat();
+        self.scan = LiveScan::new(&params, &topics, revision);
         self.last_event = None;
         *lock(&self.shared.last_painted) = None;
         self.shared.num_resets.fetch_add(1, Ordering::Relaxed);
@@ -427,8 +432,8 @@ fn note(status: &mut PaintStatus, painted: &Painted) {
     let texels = texture.pages.iter().flat_map(|page| &page.source);
     let (mut num_painted, mut num_covered) = (0_u64, 0_u64);
     for source in texels {
-        let is_covered =
-            *source != crate::atlas::TexelSource::NONE && *source != crate::atlas::TexelSource::GUTTER;
+        let is_covered = *source != crate::atlas::TexelSource::NONE
+            && *source != crate::atlas::TexelSource::GUTTER;
         num_covered += u64::from(is_covered);
         num_painted += u64::from(source.as_keyframe().is_some());
     }

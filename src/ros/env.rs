@@ -5,6 +5,7 @@
 //! is set, as in rmw. What this node's DDS cannot do is told, not passed over: [`Network::notes`].
 
 use std::net::Ipv4Addr;
+use std::path::{Path, PathBuf};
 
 /// Largest domain whose ports all lie below 65536.
 const MAX_DOMAIN: u16 = 232;
@@ -94,6 +95,70 @@ impl Network {
     }
 }
 
+/// Which keys a node uses among secured peers, by SROS2's variables.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Security {
+    enclave_folder: PathBuf,
+}
+
+impl Security {
+    /// Reads `ROS_SECURITY_ENABLE`, `_STRATEGY`, `_KEYSTORE` and `_ENCLAVE_OVERRIDE` through `get`;
+    /// `enclave` is the one that the command line names. `None` where security is not asked for.
+    ///
+    /// # Errors
+    /// [`EnvError`] where it is asked for without saying where the keys are.
+    pub fn from_variables(
+        get: impl Fn(&str) -> Option<String>,
+        enclave: Option<&str>,
+    ) -> Result<Option<Self>, EnvError> {
+        let set = |name: &str| get(name).filter(|value| !value.trim().is_empty());
+        let enable = set("ROS_SECURITY_ENABLE");
+        // As rcl has it: this word alone.
+        if enable.as_deref() != Some("true") {
+            return Ok(None);
+        }
+        let Some(keystore) = set("ROS_SECURITY_KEYSTORE") else {
+            return Err(refused(
+                "ROS_SECURITY_KEYSTORE",
+                "",
+                "must name the keystore when ROS_SECURITY_ENABLE is true",
+            ));
+        };
+        let named = set("ROS_SECURITY_ENCLAVE_OVERRIDE");
+        let enclave = named.as_deref().or(enclave).unwrap_or("/");
+        let parts: Vec<&str> = enclave.split('/').filter(|part| !part.is_empty()).collect();
+        if parts.contains(&"..") {
+            return Err(refused(
+                "ROS_SECURITY_ENCLAVE_OVERRIDE",
+                enclave,
+                "leads out of the keystore",
+            ));
+        }
+        let mut enclave_folder = PathBuf::from(keystore).join("enclaves");
+        enclave_folder.extend(parts);
+        let is_there = enclave_folder.is_dir();
+        let is_enforced = set("ROS_SECURITY_STRATEGY").as_deref() == Some("Enforce");
+        Ok((is_enforced || is_there).then_some(Self { enclave_folder }))
+    }
+
+    /// From this process' environment.
+    ///
+    /// # Errors
+    /// As [`Self::from_variables`].
+    #[expect(
+        clippy::disallowed_methods,
+        reason = "these settings are ROS's own and come by the environment"
+    )]
+    pub fn from_process(enclave: Option<&str>) -> Result<Option<Self>, EnvError> {
+        Self::from_variables(|name| std::env::var(name).ok(), enclave)
+    }
+
+    /// The folder with the enclave's keys, certificates and permissions.
+    pub fn enclave_folder(&self) -> &Path {
+        &self.enclave_folder
+    }
+}
+
 fn refused(variable: &'static str, value: &str, reason: &'static str) -> EnvError {
     EnvError {
         variable,
@@ -173,6 +238,38 @@ mod tests {
             ("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET"),
         ];
         assert!(network(&wide).unwrap().interfaces.is_empty());
+    }
+
+    #[test]
+    fn secured_peers_are_asked_for_as_rcl_asks() {
+        let dir = tempfile::tempdir().unwrap();
+        let keystore = dir.path().to_str().unwrap().to_owned();
+        std::fs::create_dir_all(dir.path().join("enclaves/robot/veneer")).unwrap();
+        let security = |pairs: &[(&str, &str)], enclave| {
+            Security::from_variables(
+                |name| {
+                    let found = pairs.iter().find(|(n, _)| *n == name);
+                    found.map(|(_, value)| (*value).to_owned())
+                },
+                enclave,
+            )
+        };
+        let enable = ("ROS_SECURITY_ENABLE", "true");
+        let store = ("ROS_SECURITY_KEYSTORE", keystore.as_str());
+        let enforce = ("ROS_SECURITY_STRATEGY", "Enforce");
+        assert_eq!(security(&[store, enforce], None), Ok(None));
+        assert!(security(&[enable], None).is_err());
+        let found = security(&[enable, store], Some("/robot/veneer")).unwrap();
+        let folder = dir.path().join("enclaves/robot/veneer");
+        assert_eq!(found.unwrap().enclave_folder(), folder);
+        // Without Enforce, a node whose keys are missing goes on without security; with it, not.
+        assert_eq!(security(&[enable, store], Some("/other")), Ok(None));
+        assert!(
+            security(&[enable, store, enforce], Some("/other"))
+                .unwrap()
+                .is_some()
+        );
+        assert!(security(&[enable, store], Some("/../../x")).is_err());
     }
 
     #[test]

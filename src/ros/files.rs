@@ -78,7 +78,10 @@ pub fn confined(folder: Option<&str>, path: &str) -> Result<PathBuf, FileError> 
         return refuse("is empty, or too long");
     }
     let parts: Vec<_> = Path::new(path).components().collect();
-    if !parts.iter().all(|part| matches!(part, Component::Normal(_))) {
+    if !parts
+        .iter()
+        .all(|part| matches!(part, Component::Normal(_)))
+    {
         return refuse("must be relative to save.folder and go down only");
     }
     let system = |path: &Path| {
@@ -199,7 +202,11 @@ pub fn save_painting(
         ..params.clone()
     };
     let summary = write_all(&textured, folder, &params)?;
-    let files: Vec<_> = summary.files.iter().map(|f| f.display().to_string()).collect();
+    let files: Vec<_> = summary
+        .files
+        .iter()
+        .map(|f| f.display().to_string())
+        .collect();
     Ok(format!("{} in {}", files.join(", "), folder.display()))
 }
 
@@ -238,7 +245,15 @@ mod tests {
         let inside = confined(Some(folder_text), "a/b/scan.mcap").unwrap();
         assert_eq!(inside, folder.join("a/b/scan.mcap"));
         assert!(folder.join("a/b").is_dir());
-        for outside in ["", "/etc/passwd", "../x.mcap", "a/../../x", "a/./../..", "./../x", "a\0b"] {
+        for outside in [
+            "",
+            "/etc/passwd",
+            "../x.mcap",
+            "a/../../x",
+            "a/./../..",
+            "./../x",
+            "a\0b",
+        ] {
             let refused = confined(Some(folder_text), outside);
             assert!(refused.is_err(), "{outside:?}: {refused:?}");
         }

@@ -1,7 +1,8 @@
 //! Where serialised messages wait between the task that receives and the thread that decodes.
 //!
-//! One queue per topic, each bounded by a count, all together by bytes; a full one drops its
-//! oldest message (`drop oldest`), so that what comes out is the newest. Messages come out in the
+//! One queue per topic, each bounded by a count, all together by bytes. A full queue drops its
+//! oldest message, so that what comes out is the newest; where all together hold too much, the one
+//! that holds most drops its oldest (`drop oldest`). Messages come out in the
 //! order of their arrival over all topics. Every message is counted: for each topic
 //! `num_received = num_taken + num_dropped_full + num_dropped_closed + num_waiting`, and what the
 //! sequence numbers of its writers show to be missing is `num_lost`.
@@ -64,6 +65,7 @@ pub enum Taken {
 #[derive(Debug, Default)]
 struct Queue {
     capacity: usize,
+    num_bytes: usize,
     messages: VecDeque<(u64, Waiting)>,
     counts: TopicCounts,
     /// The highest sequence number of each writer.
@@ -142,6 +144,7 @@ impl Inbox {
         for queue in &mut state.queues {
             queue.counts.num_dropped_closed += queue.messages.len() as u64;
             queue.messages.clear();
+            queue.num_bytes = 0;
         }
         state.num_bytes = 0;
     }
@@ -184,17 +187,22 @@ impl Inbox {
             queue.counts.num_dropped_closed += 1;
             return;
         }
+        let topic = message.topic;
+        let is_full = queue.messages.len() >= queue.capacity;
         state.num_bytes += message.bytes.len();
+        queue.num_bytes += message.bytes.len();
         queue.messages.push_back((state.next_number, message));
         state.next_number += 1;
-        while queue.messages.len() > queue.capacity
-            || (state.num_bytes > max_bytes && !queue.messages.is_empty())
-        {
-            let Some((_, dropped)) = queue.messages.pop_front() else {
+        if is_full {
+            state.drop_oldest(topic);
+        }
+        while state.num_bytes > max_bytes {
+            let largest = state.queues.iter().enumerate();
+            let largest = largest.max_by_key(|(_, queue)| queue.num_bytes);
+            let Some((largest, _)) = largest else {
                 break;
             };
-            state.num_bytes -= dropped.bytes.len();
-            queue.counts.num_dropped_full += 1;
+            state.drop_oldest(largest);
         }
         drop(guard);
         self.changed.notify_all();
@@ -257,8 +265,20 @@ impl State {
         let queue = self.queues.get_mut(topic)?;
         let (_, message) = queue.messages.pop_front()?;
         queue.counts.num_taken += 1;
+        queue.num_bytes -= message.bytes.len();
         self.num_bytes -= message.bytes.len();
         Some(message)
+    }
+
+    fn drop_oldest(&mut self, topic: usize) {
+        let Some(queue) = self.queues.get_mut(topic) else {
+            return;
+        };
+        if let Some((_, dropped)) = queue.messages.pop_front() {
+            queue.counts.num_dropped_full += 1;
+            queue.num_bytes -= dropped.bytes.len();
+            self.num_bytes -= dropped.bytes.len();
+        }
     }
 }
 
@@ -327,6 +347,11 @@ mod tests {
         }
         inbox.put(message(0, 99, 1000));
         assert!(inbox.num_bytes() <= 100);
+        // What is small does not go for what is large.
+        inbox.put(message(0, 100, 90));
+        inbox.put(message(1, 101, 20));
+        inbox.put(message(1, 102, 20));
+        assert_eq!(taken(&inbox), [101, 102]);
         let counts = inbox.counts();
         assert!(counts.iter().all(adds_up), "{counts:?}");
     }

@@ -83,7 +83,8 @@ pub fn inputs(names: &NameResolver, config: &Config) -> Result<Vec<Input>, NameE
     };
     list.add("/tf", TopicRole::Transforms, &tf)?.qos = reliable;
     reliable.is_latched = true;
-    list.add("/tf_static", TopicRole::StaticTransforms, &tf)?.qos = reliable;
+    list.add("/tf_static", TopicRole::StaticTransforms, &tf)?
+        .qos = reliable;
     let source = config.pipeline.ingest.pose_source;
     if matches!(source, PoseSource::Pose | PoseSource::Auto) {
         let types = [
@@ -376,7 +377,13 @@ mod tests {
         let topics: Vec<_> = first.iter().map(|(topic, _)| topic.as_str()).collect();
         assert_eq!(
             topics,
-            ["/rgb/camera_info", "/depth/camera_info", "/tf", "/tf_static", "/odom"]
+            [
+                "/rgb/camera_info",
+                "/depth/camera_info",
+                "/tf",
+                "/tf_static",
+                "/odom"
+            ]
         );
         assert!(chooser.update(now + SETTLE, &[]).is_empty());
     }
@@ -458,7 +465,10 @@ mod tests {
     fn wrong_types_and_qos_are_told_with_the_remedy() {
         let mut config = Config::default();
         config
-            .set("qos_overrides./rgb/image.subscription.reliability", "reliable")
+            .set(
+                "qos_overrides./rgb/image.subscription.reliability",
+                "reliable",
+            )
             .unwrap();
         config.set("image_transport", "raw").unwrap();
         let inputs = inputs(&names(&[]), &config).unwrap();

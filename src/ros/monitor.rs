@@ -179,7 +179,9 @@ impl Monitor {
         let counts = shared.inbox.counts();
         let ages = shared.inbox.ages();
         let now = Instant::now();
-        let elapsed_s = now.saturating_duration_since(self.previous_at).as_secs_f64();
+        let elapsed_s = now
+            .saturating_duration_since(self.previous_at)
+            .as_secs_f64();
         let published_since = self.published_since(&offers);
         let inputs = self
             .inputs

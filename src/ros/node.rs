@@ -3,8 +3,8 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use rustdds::bytes::Bytes;
 use ros2_client::{Context, Node, NodeName, NodeOptions};
+use rustdds::bytes::Bytes;
 use smol::LocalExecutor;
 use smol::channel::Receiver as Stop;
 
@@ -16,9 +16,10 @@ use crate::wire::log::Log;
 use super::clock::RosClock;
 use super::control::Control;
 use super::engine::{Engine, Shared};
-use super::env::Network;
+use super::env::{Network, Security};
 use super::error::NodeError;
 use super::graph::{self, EntityList};
+use super::http;
 use super::inbox::Inbox;
 use super::inputs::{self, Chooser, Input};
 use super::lifecycle::Transition;
@@ -36,6 +37,9 @@ const LOOK_PERIOD: Duration = Duration::from_millis(100);
 /// After a change of the graph, how long our list of readers and writers is sent again.
 const RESEND: Duration = Duration::from_secs(3);
 
+/// How long the end waits for what is being published.
+const PATIENCE: Duration = Duration::from_millis(500);
+
 /// What a node is made of.
 #[derive(Clone, Debug)]
 pub struct NodeSetup {
@@ -45,6 +49,8 @@ pub struct NodeSetup {
     pub names: NameResolver,
     /// Whom it can hear.
     pub network: Network,
+    /// Who it is among secured peers, where security is asked for.
+    pub security: Option<Security>,
     /// What goes to `/rosout`; `None`: nothing.
     pub log_lines: Option<LogLines>,
 }
@@ -85,6 +91,9 @@ impl Running {
         let session = u64::try_from(RosClock::new(false).now().as_nanos()).unwrap_or(0);
         let shared = Arc::new(Shared::new(config.clone(), Arc::clone(&inbox), session));
         let engine = Engine::start(Arc::clone(&shared), &inputs)?;
+        if let Some(address) = http::start(&shared)? {
+            tracing::info!("serves the scan on http://{address}/scan.glb");
+        }
         let receiving = Receiving::start(
             &context,
             Arc::clone(&entities),
@@ -99,7 +108,7 @@ impl Running {
             depth: config.node.publish_depth,
             publish: PublishParams {
                 history_messages: config.node.publish_depth,
-                ..PublishParams::default()
+                ..config.publish
             },
         };
         let outputs = Outputs::new(&context, names, &entities, params, Arc::clone(&output))?;
@@ -229,7 +238,12 @@ impl Running {
             }
         }
         control.shared.shut();
-        if publishing.join().is_err() {
+        // It may be making the messages of a large scan, which nobody will get.
+        let begun = Instant::now();
+        while !publishing.is_finished() && begun.elapsed() < PATIENCE {
+            std::thread::sleep(PATIENCE / 100);
+        }
+        if publishing.is_finished() && publishing.join().is_err() {
             tracing::error!("the thread that publishes has panicked");
         }
         drop(control);
@@ -240,7 +254,7 @@ impl Running {
 }
 
 fn make_node(setup: &NodeSetup) -> Result<(Context, Node), NodeError> {
-    let participant = transport::participant(&setup.network)?;
+    let participant = transport::participant(&setup.network, setup.security.as_ref())?;
     let context = Context::from_domain_participant(participant)
         .map_err(|e| NodeError::dds("the ROS context", &e))?;
     let identity = setup.names.node();

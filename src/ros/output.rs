@@ -191,7 +191,11 @@ impl Outputs {
     pub(super) fn run(mut self, painted: &Latest<Arc<Painting>>) {
         while !painted.is_shut() {
             let has_work = self.outputs.iter().any(|output| !output.pending.is_empty());
-            let wait = if has_work { Duration::ZERO } else { LOOK_PERIOD };
+            let wait = if has_work {
+                Duration::ZERO
+            } else {
+                LOOK_PERIOD
+            };
             if let Some(new) = painted.take(wait) {
                 self.note_superseded();
                 self.current = Some(new);
@@ -229,7 +233,9 @@ impl Outputs {
             let readers = graph::readers(&self.context, &output.name);
             let is_new = |reader: &GUID| !output.readers.contains_key(reader);
             let has_new = readers.keys().any(is_new);
-            let has_new_volatile = readers.iter().any(|(r, is_latched)| !is_latched && is_new(r));
+            let has_new_volatile = readers
+                .iter()
+                .any(|(r, is_latched)| !is_latched && is_new(r));
             if has_new_volatile && output.whole_at.is_none() {
                 output.whole_at = Some(Instant::now() + MATCH_TIME);
             }

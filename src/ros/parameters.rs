@@ -13,7 +13,7 @@ use crate::config::parameter::{Access, Parameter};
 use crate::config::{Config, tree};
 
 /// Families and names that can be set while the node runs.
-const LIVE: [&str; 12] = [
+const LIVE: [&str; 10] = [
     "texinit.",
     "texsmooth.",
     "photometric.",
@@ -23,8 +23,6 @@ const LIVE: [&str; 12] = [
     "idle_flush",
     "paint_period",
     "publish.rate_mb",
-    "publish.max_message_bytes",
-    "publish.tile_texel",
     "diagnostics.period",
 ];
 /// Families whose change makes the present texture another one.
@@ -235,7 +233,9 @@ pub fn set(config: &mut Config, parameter: &raw::Parameter) -> Result<(), String
         _ => return Err(format!("'{name}' takes no list")),
     };
     let mut changed = config.clone();
-    changed.set(name, &text).map_err(|error| error.to_string())?;
+    changed
+        .set(name, &text)
+        .map_err(|error| error.to_string())?;
     if !is_live(name) {
         let (before, after) = (value_text(config, name), value_text(&mut changed, name));
         return if before == after {
@@ -285,6 +285,14 @@ mod tests {
             assert_ne!(value.ptype, raw::ParameterType::NOT_SET, "{name}");
             assert_eq!(value.ptype, descriptor.r#type, "{name}");
             assert!(!descriptor.description.is_empty(), "{name}");
+        }
+    }
+
+    #[test]
+    fn what_can_be_set_while_running_exists() {
+        for family in LIVE.iter().chain(&PAINTING) {
+            let mut names = tree::PARAMETERS.iter().map(|row| row.name);
+            assert!(names.any(|name| is_of(name, &[family])), "{family}");
         }
     }
 

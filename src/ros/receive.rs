@@ -22,11 +22,11 @@ const MAX_ORDERS: usize = 64;
 
 enum Order {
     Input {
-        reader: RawReader,
+        reader: Box<RawReader>,
         topic: usize,
         message_type: MessageType,
     },
-    Clock(RawReader),
+    Clock(Box<RawReader>),
 }
 
 /// Adds subscriptions to the thread that receives; when it goes, the thread ends, and with it the
@@ -70,7 +70,7 @@ impl Receiving {
         self.order(
             topic,
             Order::Input {
-                reader,
+                reader: Box::new(reader),
                 topic: choice.input,
                 message_type: choice.message_type,
             },
@@ -81,7 +81,7 @@ impl Receiving {
     pub(super) fn subscribe_clock(&self, topic: &str) -> Result<(), NodeError> {
         let reader = RawReader::new(&self.context, topic, CLOCK_TYPE, TopicQos::SENSOR_DATA)?;
         self.entities.add_reader(reader.gid());
-        self.order(topic, Order::Clock(reader))
+        self.order(topic, Order::Clock(Box::new(reader)))
     }
 
     fn order(&self, topic: &str, order: Order) -> Result<(), NodeError> {
@@ -124,7 +124,7 @@ fn receive(orders: &Receiver<Order>, inbox: &Inbox, clock: &RosClock) {
 }
 
 async fn read_input(
-    reader: RawReader,
+    reader: Box<RawReader>,
     topic: usize,
     message_type: MessageType,
     inbox: &Inbox,
@@ -150,7 +150,7 @@ async fn read_input(
     }
 }
 
-async fn read_clock(reader: RawReader, clock: &RosClock) {
+async fn read_clock(reader: Box<RawReader>, clock: &RosClock) {
     let mut samples = std::pin::pin!(reader.samples());
     while let Some(sample) = samples.next().await {
         if let Ok(sample) = sample

@@ -4,11 +4,14 @@ use std::future::Future;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use byteorder::LittleEndian;
 use ros2_client::builtin_interfaces::Time;
 use ros2_client::parameters::raw;
 use ros2_client::qos::{History, QosProfile};
 use ros2_client::rcl_interfaces as rcl;
-use ros2_client::{Context, Message, Name, Node, Publisher, Server, ServiceMapping, ServiceTypeName};
+use ros2_client::{
+    Context, Message, Name, Node, Publisher, Server, ServiceMapping, ServiceTypeName,
+};
 use smol::LocalExecutor;
 
 use super::clock::RosClock;
@@ -20,7 +23,7 @@ use super::names::NameResolver;
 use super::parameters;
 use super::service_types::{
     AvailableStates, AvailableTransitions, ChangeState, CurrentState, Done, Empty, FilePath,
-    StateChanged, StateMessage, TransitionDescription, TransitionEvent, TransitionMessage,
+    Shorten, StateChanged, StateMessage, TransitionDescription, TransitionEvent, TransitionMessage,
 };
 
 /// Requests that wait; more than a person or a manager sends at once.
@@ -31,6 +34,10 @@ const REST: Duration = Duration::from_millis(20);
 const CLIENT_WAIT: Duration = Duration::from_secs(1);
 /// How often that is looked at.
 const CLIENT_POLL: Duration = Duration::from_millis(10);
+/// Longest answer, bytes. RustDDS 0.15.1 writes a message that goes in fragments and has inline QoS
+/// (as answers do: whose request it was) with a byte too many, and no client can read it; so an
+/// answer must go in one datagram of a network with an MTU of 1500.
+const MAX_ANSWER_BYTES: usize = 1280;
 /// The part of an entity's id that is its participant's.
 const GUID_PREFIX_BYTES: usize = 12;
 
@@ -102,7 +109,7 @@ impl<'a> Services<'a> {
     ) -> Result<(), NodeError>
     where
         Req: Message + Clone + 'static,
-        Resp: Message + 'static,
+        Resp: Message + Shorten + 'static,
         F: Future<Output = Resp> + 'static,
     {
         let server = self.server::<Req, Resp>(name, package, type_name)?;
@@ -120,6 +127,9 @@ impl<'a> Services<'a> {
                     }
                 };
                 let response = answer(Arc::clone(&control), request).await;
+                let Some(response) = fitted(name, response) else {
+                    continue;
+                };
                 wait_for_client(&context, &replies, id.writer_gid.to_bytes16()).await;
                 if let Err(error) = server.async_send_response(id, response).await {
                     tracing::warn!("~/{name}: the answer was not sent: {error}");
@@ -310,6 +320,27 @@ impl<'a> Services<'a> {
         self.node
             .create_publisher(&topic, None)
             .map_err(|e| NodeError::dds("/parameter_events", &e))
+    }
+}
+
+/// Shortens an answer until DDS can carry it; `None` where it cannot be.
+fn fitted<Resp: Message + Shorten>(name: &str, mut response: Resp) -> Option<Resp> {
+    let mut was_shortened = false;
+    loop {
+        let size = rustdds::cdr_encoding::to_vec::<_, LittleEndian>(&response).map(|b| b.len());
+        if matches!(size, Ok(0..=MAX_ANSWER_BYTES)) {
+            if was_shortened {
+                tracing::warn!(
+                    "~/{name}: the answer was cut to {MAX_ANSWER_BYTES} bytes; ask for less at a time, by prefix or by name"
+                );
+            }
+            return Some(response);
+        }
+        was_shortened = true;
+        if !response.shorten() {
+            tracing::error!("~/{name}: the answer does not fit into {MAX_ANSWER_BYTES} bytes");
+            return None;
+        }
     }
 }
 

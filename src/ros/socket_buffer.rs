@@ -46,7 +46,10 @@ mod tests {
     #[test]
     fn the_remedy_names_the_exact_setting() {
         let words = remedy(208 << 10).unwrap();
-        assert!(words.contains("sysctl -w net.core.rmem_max=8388608"), "{words}");
+        assert!(
+            words.contains("sysctl -w net.core.rmem_max=8388608"),
+            "{words}"
+        );
         assert!(words.contains("212992 bytes"));
         assert_eq!(remedy(ENOUGH_BYTES), None);
     }

@@ -114,7 +114,10 @@ fn small(number: usize) -> u32 {
     u32::try_from(number).unwrap_or(u32::MAX)
 }
 
-#[expect(clippy::cast_possible_truncation, reason = "single precision is what the message has")]
+#[expect(
+    clippy::cast_possible_truncation,
+    reason = "single precision is what the message has"
+)]
 fn single(number: f64) -> f32 {
     number as f32
 }

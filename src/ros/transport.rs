@@ -21,7 +21,7 @@ use rustdds::{
     RepresentationIdentifier, Timestamp, TopicKind, no_key,
 };
 
-use super::env::Network;
+use super::env::{Network, Security};
 use super::error::NodeError;
 
 /// Bytes of the encapsulation header.
@@ -155,16 +155,52 @@ pub(super) struct RawSample {
     pub(super) sequence_number: i64,
 }
 
-/// Makes a participant that keeps to `network`.
-pub(super) fn participant(network: &Network) -> Result<DomainParticipant, NodeError> {
+/// Makes a participant that keeps to `network` and, where asked for, talks to secured peers only.
+pub(super) fn participant(
+    network: &Network,
+    security: Option<&Security>,
+) -> Result<DomainParticipant, NodeError> {
     let mut builder = DomainParticipantBuilder::new(network.domain_id);
     if !network.interfaces.is_empty() {
         let interfaces: Vec<Ipv4Addr> = network.interfaces.clone();
         builder = builder.with_only_networks(interfaces);
     }
+    if let Some(security) = security {
+        builder = secured(builder, security)?;
+    }
     builder
         .build()
         .map_err(|error| NodeError::dds("the DDS participant", &error))
+}
+
+#[cfg(feature = "security")]
+fn secured(
+    builder: DomainParticipantBuilder,
+    security: &Security,
+) -> Result<DomainParticipantBuilder, NodeError> {
+    let folder = security.enclave_folder();
+    if !folder.is_dir() {
+        let words = format!("{} is no folder", folder.display());
+        return Err(NodeError::dds("the security enclave", &words));
+    }
+    // SROS2's keys have no password.
+    let files = rustdds::DomainParticipantSecurityConfigFiles::with_ros_default_names(
+        folder,
+        String::new(),
+    );
+    Ok(builder.builtin_security(files))
+}
+
+#[cfg(not(feature = "security"))]
+fn secured(
+    _: DomainParticipantBuilder,
+    security: &Security,
+) -> Result<DomainParticipantBuilder, NodeError> {
+    let words = format!(
+        "ROS_SECURITY_ENABLE asks for {}, but this build has no security: build with `--features security`",
+        security.enclave_folder().display()
+    );
+    Err(NodeError::dds("the security enclave", &words))
 }
 
 /// `package/msg/Name` as DDS calls it.

@@ -9,7 +9,7 @@ use serde_json::Value;
 
 use crate::command::{small_tabletop, veneer_ok};
 use raw_peer::RawPeer;
-use rig::{Diagnostics, Rig, send_signal};
+use rig::{Diagnostics, Rig, free_port, http_get, send_signal};
 
 const INPUTS: [&str; 6] = [
     "/rgb/image/compressed",
@@ -113,6 +113,8 @@ fn live_is_replay_under_simulated_time() {
     ]);
     let saves = dir.path().join("saves");
     let folder = format!("save.folder:={}", saves.display());
+    let port = free_port();
+    let http = format!("http.port:={port}");
     let node = rig.node(
         dir.path(),
         &[
@@ -123,13 +125,21 @@ fn live_is_replay_under_simulated_time() {
             "-p",
             &folder,
             "-p",
+            &http,
+            "-p",
             "save.on_shutdown:=scan.glb",
         ],
     );
     let mut transforms = RawPeer::new(rig.domain);
     transforms.send(&bag, "/tf_static", "/tf_static");
     transforms.send(&bag, "/tf", "/tf");
-    let args = ["play", "--clock", bag.to_str().unwrap(), "--optional", "/pose"];
+    let args = [
+        "play",
+        "--clock",
+        bag.to_str().unwrap(),
+        "--optional",
+        "/pose",
+    ];
     let mut player = rig.peer(&args);
     assert_eq!(player.next()["matched"], true);
     let said = player.next();
@@ -138,18 +148,37 @@ fn live_is_replay_under_simulated_time() {
         let taken = seen.number("inputs", &format!("{topic} taken"));
         assert_eq!(taken, sent(&said, topic), "a message was lost: {seen:?}");
     }
+    let (_, index) = http_get(port, "/");
+    let index: Value = serde_json::from_slice(&index).unwrap();
+    let (status, served) = http_get(port, index["url"].as_str().unwrap());
+    assert!(status.contains("200"), "{status}");
+    let (status, _) = http_get(port, "/1/1/scan.glb");
+    assert!(status.contains("404"), "{status}");
     let (success, _) = node.end("INT");
     assert!(success);
     let live = std::fs::read(saves.join("scan.glb")).unwrap();
     let replayed = std::fs::read(out.join("scan.glb")).unwrap();
-    assert!(live == replayed, "{} and {} bytes", live.len(), replayed.len());
+    assert!(
+        live == replayed,
+        "{} and {} bytes",
+        live.len(),
+        replayed.len()
+    );
+    assert!(served == live, "what is served is what is saved");
 }
 
 #[test]
 fn parameters_services_and_lifecycle_answer_rclpy() {
     let Some(rig) = Rig::new() else { return };
     let dir = tempfile::tempdir().unwrap();
-    let args = ["-r", "__ns:=/robot", "-r", "__node:=painter", "-p", "autostart:=false"];
+    let args = [
+        "-r",
+        "__ns:=/robot",
+        "-r",
+        "__node:=painter",
+        "-p",
+        "autostart:=false",
+    ];
     let mut node = rig.node(dir.path(), &args);
     let trigger = |name: &str| {
         rig.call(
@@ -198,16 +227,33 @@ fn parameters_services_and_lifecycle_answer_rclpy() {
     assert_eq!(descriptors[2]["floating_point_range"][0]["to_value"], 0.5);
     let values = of("get_parameters", "GetParameters", names);
     assert_eq!(values["values"][1]["string_value"], "auto");
-    let listed = of("list_parameters", "ListParameters", "{}");
+    let all = of("list_parameters", "ListParameters", "{}");
+    assert!(
+        all["result"]["names"].as_array().unwrap().len() > 10,
+        "{all}"
+    );
+    let prefix = r#"{"prefixes": ["texinit.chart"]}"#;
+    let listed = of("list_parameters", "ListParameters", prefix);
     let listed = listed["result"]["names"].as_array().unwrap();
-    assert!(listed.contains(&Value::from("texinit.mode")));
+    assert!(listed.contains(&Value::from("texinit.chart.max_stretch")));
     let set = rig
-        .peer(&["set", "/robot/painter", "paint_period=2.5", "paint_period=-1.0", "image_transport=raw"])
+        .peer(&[
+            "set",
+            "/robot/painter",
+            "paint_period=2.5",
+            "paint_period=-1.0",
+            "image_transport=raw",
+        ])
         .next();
     let results = set["results"].as_array().unwrap();
     assert_eq!(results[0]["successful"], true, "{set}");
     assert_eq!(results[1]["successful"], false, "{set}");
-    assert!(results[1]["reason"].as_str().unwrap().contains("0 ..= 3600"));
+    assert!(
+        results[1]["reason"]
+            .as_str()
+            .unwrap()
+            .contains("0 ..= 3600")
+    );
     assert!(results[2]["reason"].as_str().unwrap().contains("fixed"));
     let values = of("get_parameters", "GetParameters", names);
     assert_eq!(values["values"][0]["double_value"], 2.5);
@@ -221,11 +267,40 @@ fn parameters_services_and_lifecycle_answer_rclpy() {
     assert_eq!(trigger("reset")["success"], true);
 
     let graph = rig
-        .peer(&["graph", "painter", "--namespace", "/robot", "--subscriptions", "/tf"])
+        .peer(&[
+            "graph",
+            "painter",
+            "--namespace",
+            "/robot",
+            "--subscriptions",
+            "/tf",
+        ])
         .next();
-    assert!(graph["subscriptions"]["/robot/rgb/camera_info"].is_array(), "{graph}");
-    assert!(graph["publishers"]["/robot/painter/markers"].is_array(), "{graph}");
-    assert!(graph["services"]["/robot/painter/save"].is_array(), "{graph}");
+    assert!(
+        graph["subscriptions"]["/robot/rgb/camera_info"].is_array(),
+        "{graph}"
+    );
+    assert!(
+        graph["publishers"]["/robot/painter/markers"].is_array(),
+        "{graph}"
+    );
+    assert!(
+        graph["services"]["/robot/painter/save"].is_array(),
+        "{graph}"
+    );
+    let page = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/topics.md");
+    let page = std::fs::read_to_string(page).unwrap();
+    for kind in ["subscriptions", "publishers", "services"] {
+        for name in graph[kind].as_object().unwrap().keys() {
+            let private = name.strip_prefix("/robot/painter/");
+            let written = match (private, name.strip_prefix("/robot/")) {
+                (Some(private), _) => format!("`~/{private}`"),
+                (None, Some(relative)) => format!("`{relative}`"),
+                (None, None) => format!("`{name}`"),
+            };
+            assert!(page.contains(&written), "docs/topics.md lacks {written}");
+        }
+    }
     assert!(node.is_running());
 }
 
@@ -259,7 +334,10 @@ fn garbage_and_wrong_types_are_told_and_harm_nothing() {
             && seen.message("synchronisation").contains("refused")
             && seen.message("network").contains("sensor_msgs/msg/Image")
     });
-    assert!(seen.message("synchronisation").contains("/rgb/image/compressed"));
+    assert!(
+        seen.message("synchronisation")
+            .contains("/rgb/image/compressed")
+    );
     assert!(seen.message("network").contains("/mesh"), "{seen:?}");
     assert!(node.is_running());
     drop((garbage, wrong));

@@ -1,6 +1,7 @@
 """Real ROS 2 peers (rclpy) for the live node's tests. Each command prints one JSON object a line.
 
 play BAG         publishes a bag's messages, byte for byte, at their pace; the mesh as shape_msgs/Mesh
+camera           720p colour and depth at 30 Hz
 listen TOPIC=TYPE …  receives until stdin closes, then says how many and how large
 call SERVICE TYPE JSON  calls a service and prints its response
 set NODE NAME=VALUE …  sets parameters
@@ -163,6 +164,96 @@ def play(args):
     # Reliable messages may still have to be sent again.
     sys.stdin.read()
     node.destroy_node()
+
+
+def camera(args):
+    """A 720p colour and depth camera at its full rate, a pose for each frame, and a mesh."""
+    from geometry_msgs.msg import Point, PoseStamped
+    from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+    from shape_msgs.msg import Mesh, MeshTriangle
+
+    import numpy
+
+    node = rclpy.create_node("camera")
+    width, height = 1280, 720
+    rows, columns = numpy.mgrid[0:height, 0:width]
+    picture = numpy.stack([columns % 256, rows % 256, (columns // 16 + rows // 16) % 2 * 255], -1)
+    picture = picture.astype(numpy.uint8)
+    color = Image(width=width, height=height, encoding="rgb8", step=3 * width)
+    color.data = array.array("B", picture.tobytes())
+    depth = Image(width=width, height=height, encoding="16UC1", step=2 * width)
+    depth.data = array.array("B", numpy.full((height, width), 2000, "<u2").tobytes())
+    color_type = depth_type = Image
+    topics = ["/rgb/image", "/depth/image"]
+    if args.jpeg:
+        import io
+
+        from PIL import Image as Pillow
+
+        encoded = io.BytesIO()
+        Pillow.fromarray(picture).save(encoded, "JPEG", quality=90)
+        color = CompressedImage(format="jpeg", data=array.array("B", encoded.getvalue()))
+        encoded = io.BytesIO()
+        flat = Pillow.fromarray(numpy.full((height, width), 2000, numpy.uint16))
+        flat.save(encoded, "PNG")
+        header = struct.pack("<i2f", 0, 0.0, 0.0)
+        depth = CompressedImage(
+            format="16UC1; compressedDepth png",
+            data=array.array("B", header + encoded.getvalue()),
+        )
+        color_type = depth_type = CompressedImage
+        topics = ["/rgb/image/compressed", "/depth/image/compressedDepth"]
+    info = CameraInfo(width=width, height=height, distortion_model="plumb_bob", d=[0.0] * 5)
+    info.k = [900.0, 0.0, 639.5, 0.0, 900.0, 359.5, 0.0, 0.0, 1.0]
+    info.r = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
+    info.p = [900.0, 0.0, 639.5, 0.0, 0.0, 900.0, 359.5, 0.0, 0.0, 0.0, 1.0, 0.0]
+    of = lambda kind, topic, depth=10: node.create_publisher(
+        kind, topic, qos(args.reliable, depth)
+    )
+    images = [of(color_type, topics[0]), of(depth_type, topics[1])]
+    infos = [of(CameraInfo, "/rgb/camera_info"), of(CameraInfo, "/depth/camera_info")]
+    poses = of(PoseStamped, "/pose")
+    meshes = node.create_publisher(Mesh, "/mesh", qos(True, 1, latched=True))
+    size = 20
+    mesh = Mesh()
+    for i in range(size + 1):
+        for j in range(size + 1):
+            mesh.vertices.append(Point(x=2.0 * i / size - 1, y=2.0 * j / size - 1, z=2.0))
+    for i in range(size):
+        for j in range(size):
+            a = i * (size + 1) + j
+            for triangle in [(a, a + 1, a + size + 1), (a + 1, a + size + 2, a + size + 1)]:
+                mesh.triangles.append(MeshTriangle(vertex_indices=array.array("I", triangle)))
+    meshes.publish(mesh)
+    deadline = time.monotonic() + args.wait
+    everyone = [*images, *infos, poses]
+    while time.monotonic() < deadline and any(p.get_subscription_count() == 0 for p in everyone):
+        rclpy.spin_once(node, timeout_sec=0.05)
+    missing = [p.topic_name for p in everyone if p.get_subscription_count() == 0]
+    say(matched=not missing, missing=missing)
+    time.sleep(0.5)
+    begun = time.monotonic()
+    num = 0
+    while time.monotonic() - begun < args.seconds:
+        left = begun + num / args.rate - time.monotonic()
+        if left > 0:
+            time.sleep(left)
+        now = node.get_clock().now()
+        stamp = now.to_msg()
+        pose = PoseStamped()
+        pose.header.frame_id = "map"
+        pose.header.stamp = stamp
+        pose.pose.position.x = 0.2 * numpy.sin(0.5 * num / args.rate)
+        pose.pose.orientation.w = 1.0
+        poses.publish(pose)
+        for message, publishers in [(color, images[:1]), (depth, images[1:]), (info, infos)]:
+            message.header.frame_id = "camera"
+            message.header.stamp = stamp
+            for publisher in publishers:
+                publisher.publish(message)
+        num += 1
+    say(sent=num, seconds=time.monotonic() - begun)
+    sys.stdin.read()
 
 
 def listen(args):
@@ -328,6 +419,12 @@ def main():
     one.add_argument("--clock", action="store_true")
     one.add_argument("--wait", type=float, default=15.0)
     one.add_argument("--optional", nargs="*", default=[])
+    one = commands.add_parser("camera")
+    one.add_argument("--rate", type=float, default=30.0)
+    one.add_argument("--seconds", type=float, default=60.0)
+    one.add_argument("--jpeg", action="store_true")
+    one.add_argument("--reliable", action="store_true")
+    one.add_argument("--wait", type=float, default=15.0)
     one = commands.add_parser("listen")
     one.add_argument("topics", nargs="+")
     one.add_argument("--latched", action="store_true")
@@ -362,6 +459,7 @@ def main():
     rclpy.init()
     {
         "play": play,
+        "camera": camera,
         "listen": listen,
         "call": call,
         "take": take,

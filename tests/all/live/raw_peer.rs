@@ -75,7 +75,9 @@ impl RawPeer {
         let deadline = Instant::now() + Duration::from_secs(15);
         let is_heard = || {
             let readers = self.participant.discovered_readers();
-            let mut topics = readers.iter().map(|r| r.subscription_topic_data.topic_name());
+            let mut topics = readers
+                .iter()
+                .map(|r| r.subscription_topic_data.topic_name());
             topics.any(|name| *name == dds_name)
         };
         while !is_heard() {

@@ -163,10 +163,6 @@ pub(crate) struct LiveNode {
 }
 
 impl LiveNode {
-    pub(crate) fn pid(&self) -> u32 {
-        self.child.as_ref().unwrap().id()
-    }
-
     pub(crate) fn is_running(&mut self) -> bool {
         let child = self.child.as_mut().unwrap();
         child.try_wait().unwrap().is_none()
@@ -227,10 +223,16 @@ impl Peer {
 
     /// What it says next.
     pub(crate) fn next(&mut self) -> Value {
-        match self.lines.recv_timeout(Duration::from_secs(60)) {
-            Ok(line) => serde_json::from_str(&line).unwrap(),
-            Err(RecvTimeoutError::Timeout) => panic!("a peer says nothing"),
-            Err(RecvTimeoutError::Disconnected) => panic!("a peer ended without a word"),
+        loop {
+            match self.lines.recv_timeout(Duration::from_secs(60)) {
+                Ok(line) => match serde_json::from_str(&line) {
+                    Ok(said) => return said,
+                    // DDS libraries complain on the same channel.
+                    Err(_) => eprintln!("a peer's library: {line}"),
+                },
+                Err(RecvTimeoutError::Timeout) => panic!("a peer says nothing"),
+                Err(RecvTimeoutError::Disconnected) => panic!("a peer ended without a word"),
+            }
         }
     }
 
@@ -239,7 +241,7 @@ impl Peer {
         self.stdin = None;
         let mut last = Value::Null;
         while let Ok(line) = self.lines.recv_timeout(Duration::from_secs(20)) {
-            last = serde_json::from_str(&line).unwrap();
+            last = serde_json::from_str(&line).unwrap_or(last);
         }
         last
     }
@@ -250,4 +252,24 @@ impl Drop for Peer {
         self.child.kill().ok();
         self.child.wait().ok();
     }
+}
+
+/// The body of a GET on this host, and the status line.
+pub(crate) fn http_get(port: u16, path: &str) -> (String, Vec<u8>) {
+    use std::io::{Read, Write};
+
+    let mut stream = std::net::TcpStream::connect(("127.0.0.1", port)).unwrap();
+    write!(stream, "GET {path} HTTP/1.1\r\nHost: here\r\n\r\n").unwrap();
+    let mut answer = Vec::new();
+    stream.read_to_end(&mut answer).unwrap();
+    let end = answer.windows(4).position(|w| w == b"\r\n\r\n").unwrap();
+    let head = String::from_utf8(answer[..end].to_vec()).unwrap();
+    let status = head.lines().next().unwrap().to_owned();
+    (status, answer[end + 4..].to_vec())
+}
+
+/// A port that is free now.
+pub(crate) fn free_port() -> u16 {
+    let listener = std::net::TcpListener::bind(("127.0.0.1", 0)).unwrap();
+    listener.local_addr().unwrap().port()
 }
