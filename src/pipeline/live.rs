@@ -66,6 +66,8 @@ pub struct LiveScan {
     num_mesh_updates: usize,
     revision: u64,
     span: Option<(Stamp, Stamp)>,
+    /// The frame of what was adopted.
+    adopted_frame: Option<String>,
     scratch: Vec<Assembled>,
 }
 
@@ -85,6 +87,7 @@ impl LiveScan {
             num_mesh_updates: 0,
             revision,
             span: None,
+            adopted_frame: None,
             scratch: Vec::new(),
         }
     }
@@ -107,6 +110,14 @@ impl LiveScan {
         self.take(assembled)
     }
 
+    /// Takes frames and meshes that were put together elsewhere, in the frame `world_frame`; whether
+    /// keyframes or mesh changed by it. What comes later must be in the same frame; blocks of a mesh
+    /// that come later replace the whole mesh that was adopted.
+    pub fn adopt(&mut self, assembled: Vec<Assembled>, world_frame: Option<String>) -> bool {
+        self.adopted_frame = world_frame;
+        self.take(assembled)
+    }
+
     /// Images and meshes that still wait for something.
     pub fn num_pending(&self) -> usize {
         self.assembler.num_pending()
@@ -124,12 +135,18 @@ impl LiveScan {
 
     /// What there is now.
     pub fn capture(&self) -> Capture {
+        let mut ingest = self.assembler.report().clone();
+        ingest.world_frame = ingest.world_frame.or_else(|| self.adopted_frame.clone());
+        let newest = self.store.keyframes().last().map(|keyframe| keyframe.stamp);
         Capture {
             revision: self.revision,
-            stamp: self.span.map_or(Stamp::default(), |(_, last)| last),
+            stamp: match self.span {
+                Some((_, last)) => last,
+                None => newest.unwrap_or_default(),
+            },
             mesh: self.mesh.clone(),
             keyframes: self.store.keyframes().cloned().collect(),
-            ingest: self.assembler.report().clone(),
+            ingest,
             store: self.store.report().clone(),
             num_pending: self.assembler.num_pending(),
             duration_s: self

@@ -135,15 +135,15 @@ impl Control {
     pub(super) fn load(&self, path: &str) -> Answer {
         let config = self.shared.config();
         let folder = config.node.save_folder.as_deref();
-        let loaded = files::confined(folder, path).and_then(|place: PathBuf| {
-            let (topics, events) = files::load_session(&place)?;
-            Ok((place, topics, events))
-        });
-        let (place, topics, events) = loaded.map_err(|error| error.to_string())?;
-        let num_events = events.len();
-        let is_loaded = self.engine.load(topics, events);
-        is_loaded.ok_or("the node is stopping")?;
-        Ok(format!("{num_events} events from {}", place.display()))
+        let loaded = files::confined(folder, path)
+            .and_then(|place: PathBuf| Ok((files::load_session(&place)?, place)));
+        let (session, place) = loaded.map_err(|error| error.to_string())?;
+        let num_items = session.assembled.len();
+        self.engine.load(session).ok_or("the node is stopping")?;
+        Ok(format!(
+            "{num_items} frames and meshes from {}",
+            place.display()
+        ))
     }
 
     /// Sets parameters one by one, or all or none; what to tell of each, and those that were set.

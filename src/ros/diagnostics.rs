@@ -615,7 +615,10 @@ mod tests {
         let mut seen = silent(&all);
         seen.iter_mut().for_each(heard);
         seen[0].num_new_drops = 3;
-        seen[2].age = Some(Duration::from_secs(9));
+        let info = seen
+            .iter_mut()
+            .find(|i| i.input.topic == "/rgb/camera_info");
+        info.unwrap().age = Some(Duration::from_secs(9));
         let complaints = ["/mesh is published as something".to_owned()];
         let paint = PaintStatus {
             last_error: Some("no texel".to_owned()),

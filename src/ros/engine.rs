@@ -15,6 +15,7 @@ use crate::ingest::{EventSource, TimedEvent};
 use crate::pipeline::{Capture, Latest, LiveScan, NoProgress, Painted, Painter};
 
 use super::error::NodeError;
+use super::files::Session;
 use super::inbox::Inbox;
 use super::inputs::Input;
 use super::source::{LiveSource, Polled};
@@ -30,8 +31,8 @@ pub(super) enum Order {
     Reset(Sender<()>),
     /// Give up on what waits for a partner or a pose, and tell what there is.
     Capture(Sender<Capture>),
-    /// Take these events as if they had come, after forgetting the scan; they refer to these topics.
-    Load(Vec<String>, Vec<TimedEvent>, Sender<()>),
+    /// Go on from a session, after forgetting the scan.
+    Load(Box<Session>, Sender<()>),
 }
 
 /// How long a stage takes.
@@ -227,11 +228,10 @@ impl Engine {
         wait.recv().ok()
     }
 
-    /// Replaces the scan by what `events` hold, which refer to `topics`; `None` when ingest has
-    /// ended.
-    pub(super) fn load(&self, topics: Vec<String>, events: Vec<TimedEvent>) -> Option<()> {
+    /// Replaces the scan by a session; `None` when ingest has ended.
+    pub(super) fn load(&self, session: Session) -> Option<()> {
         let (done, wait) = channel();
-        self.order(Order::Load(topics, events, done));
+        self.order(Order::Load(Box::new(session), done));
         wait.recv().ok()
     }
 }
@@ -312,21 +312,16 @@ impl Ingest<'_> {
         match order {
             Order::Reset(done) => {
                 self.shared.inbox.clear();
-                self.reset(&[]);
+                self.reset();
                 done.send(()).ok();
             }
             Order::Capture(done) => {
                 self.flush();
                 done.send(self.scan.capture()).ok();
             }
-            Order::Load(topics, events, done) => {
-                self.reset(&topics);
-                let first = self.source.topics().len();
-                for mut event in events {
-                    event.topic += first;
-                    self.scan.push(event);
-                }
-                self.scan.flush();
+            Order::Load(session, done) => {
+                self.reset();
+                self.scan.adopt(session.assembled, session.world_frame);
                 self.hand_on();
                 done.send(()).ok();
             }
@@ -334,13 +329,11 @@ impl Ingest<'_> {
         self.viewed = None;
     }
 
-    /// Forgets the scan; what is to come refers to the source's topics, and then to `others`.
-    fn reset(&mut self, others: &[String]) {
+    fn reset(&mut self) {
         let params = self.shared.config().pipeline;
         self.source.reset();
         let revision = self.scan.revision() + 1;
-        let topics = [self.source.topics(), others].concat();
-        self.scan = LiveScan::new(&params, &topics, revision);
+        self.scan = LiveScan::new(&params, self.source.topics(), revision);
         self.last_event = None;
         *lock(&self.shared.last_painted) = None;
         self.shared.num_resets.fetch_add(1, Ordering::Relaxed);

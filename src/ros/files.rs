@@ -8,8 +8,10 @@ use std::path::{Component, Path, PathBuf};
 
 use crate::bag::scan_writer::{ScanTopics, ScanWriter};
 use crate::bag::{BagError, BagReader, Compression, TopicRoles};
-use crate::export::{ExportError, ExportParams, TexturedMesh, write_all};
-use crate::ingest::{EventSource, MeshUpdate, TimedEvent};
+use crate::export::{
+    EncodedPages, ExportError, ExportParams, TexturedMesh, glb, write_all, write_atomic,
+};
+use crate::ingest::{Assembled, Assembler, EventSource, IngestParams, MeshUpdate};
 use crate::pipeline::{Capture, Painted};
 
 /// Longest path that a peer may give, bytes.
@@ -190,12 +192,21 @@ pub fn save_painting(
 ) -> Result<String, FileError> {
     let texinit = &painted.textured.texinit;
     let textured = TexturedMesh::new(&painted.mesh, &texinit.layout, &texinit.texture)?;
+    let kind = kind(path);
+    if kind == Some(Kind::Glb) {
+        let pages = EncodedPages::encode(&texinit.texture, params.glb_pages)?;
+        let (name, normals) = (&params.name, params.normals);
+        write_atomic(path, |out| {
+            glb::write(&textured, &pages, name, normals, out)
+        })
+        .map_err(ExportError::from)?;
+        return Ok(path.display().to_string());
+    }
     let folder = path.parent().unwrap_or(Path::new("."));
     let stem = path.file_stem().and_then(|stem| stem.to_str());
-    let kind = kind(path);
     let params = ExportParams {
         name: stem.unwrap_or("scan").to_owned(),
-        glb: kind == Some(Kind::Glb),
+        glb: false,
         obj: kind == Some(Kind::Obj),
         ply: kind == Some(Kind::Ply),
         provenance: false,
@@ -210,11 +221,21 @@ pub fn save_painting(
     Ok(format!("{} in {}", files.join(", "), folder.display()))
 }
 
-/// Reads a session's events.
+/// What a session holds.
+#[derive(Debug)]
+pub struct Session {
+    /// Frames at their poses, and the mesh.
+    pub assembled: Vec<Assembled>,
+    /// The frame that they are in.
+    pub world_frame: Option<String>,
+}
+
+/// Reads a session. It is in one world frame and has its own transforms, so it is put together
+/// apart from what the node listens to.
 ///
 /// # Errors
 /// [`FileError`].
-pub fn load_session(path: &Path) -> Result<(Vec<String>, Vec<TimedEvent>), FileError> {
+pub fn load_session(path: &Path) -> Result<Session, FileError> {
     if kind(path) != Some(Kind::Session) {
         return Err(FileError::Path {
             path: path.display().to_string(),
@@ -225,12 +246,17 @@ pub fn load_session(path: &Path) -> Result<(Vec<String>, Vec<TimedEvent>), FileE
     if let Some(missing) = bag.plan().missing.first() {
         return Err(FileError::Incomplete(missing.role.name().to_owned()));
     }
-    let topics = bag.topics().to_vec();
-    let mut events = Vec::new();
+    let params = IngestParams::default();
+    let mut assembler = Assembler::new(&params, bag.topics());
+    let mut assembled = Vec::new();
     while let Some(event) = bag.next_event() {
-        events.push(event);
+        assembler.push(event, &mut assembled);
     }
-    Ok((topics, events))
+    assembler.finish(&mut assembled);
+    Ok(Session {
+        assembled,
+        world_frame: assembler.report().world_frame.clone(),
+    })
 }
 
 #[cfg(test)]

@@ -631,6 +631,14 @@ const ROSIDL: [&str; 26] = [
     "numpy",
 ];
 
+/// An interpreter with rclpy and our own messages, and the environment in which it finds them.
+/// `None`, said aloud, where pip cannot reach the packages.
+pub(crate) fn rosidl_python() -> Option<(PathBuf, Vec<(&'static str, String)>)> {
+    let python = python::venv("rosidl", &ROSIDL)?;
+    let environment = built_package(&python).unwrap();
+    Some((python, environment))
+}
+
 /// Builds the package with the real rosidl, once for each state of its files; the environment in which
 /// Python finds it.
 fn built_package(python: &Path) -> Result<Vec<(&'static str, String)>, String> {
@@ -733,10 +741,9 @@ fn offered() -> Vec<Sample> {
 
 #[test]
 fn real_rclpy_reads_our_messages_and_we_read_its() {
-    let Some(python) = python::venv("rosidl", &ROSIDL) else {
+    let Some((python, environment)) = rosidl_python() else {
         return;
     };
-    let environment = built_package(&python).unwrap();
     let folder = tempfile::tempdir().unwrap();
     let mut samples = samples();
     samples.extend(offered());

@@ -3,9 +3,12 @@
 mod raw_peer;
 mod rig;
 
+use std::path::Path;
 use std::time::{Duration, Instant};
 
 use serde_json::Value;
+use veneer::publish::mirror::{Mirror, MirrorLimits};
+use veneer::wire::{Message, TexturedMeshBlock};
 
 use crate::command::{small_tabletop, veneer_ok};
 use raw_peer::RawPeer;
@@ -266,6 +269,17 @@ fn parameters_services_and_lifecycle_answer_rclpy() {
     assert!(words.contains("no mesh has come"), "{words}");
     assert_eq!(trigger("reset")["success"], true);
 
+    let log = [
+        "take",
+        "/rosout",
+        "rcl_interfaces/msg/Log",
+        "--latched",
+        "--num",
+        "3",
+    ];
+    let log = rig.peer(&log).next();
+    assert_eq!(log["messages"][0]["name"], "robot.painter", "{log}");
+
     let graph = rig
         .peer(&[
             "graph",
@@ -288,7 +302,7 @@ fn parameters_services_and_lifecycle_answer_rclpy() {
         graph["services"]["/robot/painter/save"].is_array(),
         "{graph}"
     );
-    let page = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/topics.md");
+    let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/topics.md");
     let page = std::fs::read_to_string(page).unwrap();
     for kind in ["subscriptions", "publishers", "services"] {
         for name in graph[kind].as_object().unwrap().keys() {
@@ -341,6 +355,98 @@ fn garbage_and_wrong_types_are_told_and_harm_nothing() {
     assert!(seen.message("network").contains("/mesh"), "{seen:?}");
     assert!(node.is_running());
     drop((garbage, wrong));
+}
+
+/// What a dump of `~/textured_mesh` puts together, message by message, so far.
+fn mirror(dump: &Path) -> Mirror {
+    let bytes = std::fs::read(dump.join("textured_mesh")).unwrap_or_default();
+    let mut rest = &bytes[..];
+    let mut mirror = Mirror::new(MirrorLimits::default());
+    while let Some((length, after)) = rest.split_first_chunk::<4>() {
+        let length = u32::from_le_bytes(*length) as usize;
+        let Some((message, after)) = after.split_at_checked(length) else {
+            break;
+        };
+        let block = TexturedMeshBlock::decode(message).unwrap();
+        mirror.apply(&block).unwrap();
+        rest = after;
+    }
+    mirror
+}
+
+#[test]
+fn sessions_and_blocks_reach_peers_that_know_our_messages() {
+    let Some(rig) = Rig::new() else { return };
+    let Some(ours) = rig.with_our_messages() else {
+        return;
+    };
+    let dir = tempfile::tempdir().unwrap();
+    let bag = small_tabletop(dir.path(), &[]);
+    let saves = dir.path().join("saves");
+    let folder = format!("save.folder:={}", saves.display());
+    let args = [&POSE_ARGS[..], &["-p", &folder]].concat();
+    let mut node = rig.node(dir.path(), &args);
+    let dumps = ["early", "late"].map(|name| dir.path().join(name));
+    let listen = |dump: &Path, how: &[&str]| {
+        std::fs::create_dir(dump).unwrap();
+        let topic = "/veneer/textured_mesh=veneer/msg/TexturedMeshBlock";
+        let args = ["listen", topic, "--dump", dump.to_str().unwrap()];
+        let mut peer = ours.peer(&[&args[..], how].concat());
+        assert_eq!(peer.next()["listening"], true);
+        peer
+    };
+    let early = listen(&dumps[0], &[]);
+    let mut player = rig.peer(&["play", bag.to_str().unwrap()]);
+    assert_eq!(player.next()["matched"], true);
+    player.next();
+    // A publisher that dies in the middle is nobody's loss.
+    send_signal(player.pid(), "KILL");
+    let seen = wait_until(&rig, "painted", is_settled);
+    let late = listen(&dumps[1], &["--latched"]);
+    let deadline = Instant::now() + Duration::from_secs(30);
+    let [early_dump, late_dump] = &dumps;
+    let is_same = |a: &Mirror, b: &Mirror| a.revision().is_some() && a.holds_same_as(b);
+    while !is_same(&mirror(early_dump), &mirror(late_dump)) {
+        assert!(Instant::now() < deadline, "early and late differ");
+        std::thread::sleep(Duration::from_millis(200));
+    }
+    drop((early.stop(), late.stop()));
+    let early = mirror(early_dump);
+    let (mesh, ..) = early.to_textured().unwrap();
+    assert!(mesh.num_triangles() > 100, "{}", mesh.num_triangles());
+
+    let status = ours
+        .peer(&["take", "/veneer/status", "veneer/msg/Status"])
+        .next();
+    let status = &status["messages"][0];
+    assert_eq!(status["state"], "active");
+    let num_keyframes = seen.number("keyframes", "keyframes");
+    assert_eq!(status["num_keyframes"], num_keyframes);
+    assert_eq!(status["revision"], early.revision().unwrap());
+
+    let file = |service: &str, path: &str| {
+        let request = serde_json::json!({ "file_path": path }).to_string();
+        let service = format!("/veneer/{service}");
+        ours.call(&service, "veneer/srv/FilePath", &request)
+    };
+    for path in ["../scan.mcap", "/tmp/scan.mcap", "scan.exe", ""] {
+        assert_eq!(file("save", path)["success"], false, "{path}");
+    }
+    for path in ["a/scan.mcap", "scan.glb"] {
+        let saved = file("save", path);
+        assert_eq!(saved["success"], true, "{saved}");
+        assert!(saves.join(path).is_file());
+    }
+    assert_eq!(
+        rig.call("/veneer/reset", "std_srvs/srv/Trigger", "{}")["success"],
+        true
+    );
+    assert_eq!(rig.diagnostics().number("keyframes", "keyframes"), 0);
+    let loaded = file("load", "a/scan.mcap");
+    assert_eq!(loaded["success"], true, "{loaded}");
+    let seen = wait_until(&rig, "painted again", is_settled);
+    assert_eq!(seen.number("keyframes", "keyframes"), num_keyframes);
+    assert!(node.is_running());
 }
 
 #[test]

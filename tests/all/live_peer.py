@@ -269,8 +269,8 @@ def listen(args):
             entry["max_bytes"] = max(entry["max_bytes"], len(data))
             entry["bytes"] += len(data)
             if args.dump:
-                with open(f"{args.dump}{topic.replace('/', '_')}", "wb") as file:
-                    file.write(data)
+                with open(f"{args.dump}/{topic.rsplit('/', 1)[-1]}", "ab") as file:
+                    file.write(struct.pack("<I", len(data)) + data)
 
         return take
 

@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 use serde_json::Value;
 
-use crate::python;
+use crate::{interfaces, python};
 
 /// What rclpy is made of, and what reads bags.
 const PACKAGES: [&str; 16] = [
@@ -42,6 +42,8 @@ fn free_domain() -> u16 {
 /// A domain on this host, and an interpreter with rclpy.
 pub(crate) struct Rig {
     python: PathBuf,
+    /// What Python needs to find more than its own packages.
+    environment: Vec<(&'static str, String)>,
     pub(crate) domain: u16,
 }
 
@@ -50,7 +52,19 @@ impl Rig {
     pub(crate) fn new() -> Option<Self> {
         Some(Self {
             python: python::venv("jazzy-live", &PACKAGES)?,
+            environment: Vec::new(),
             domain: free_domain(),
+        })
+    }
+
+    /// Peers in the same domain that know our own messages, built by the real rosidl, and few
+    /// others.
+    pub(crate) fn with_our_messages(&self) -> Option<Self> {
+        let (python, environment) = interfaces::rosidl_python()?;
+        Some(Self {
+            python,
+            environment,
+            domain: self.domain,
         })
     }
 
@@ -86,6 +100,7 @@ impl Rig {
         let mut command = Command::new(&self.python);
         self.with_environment(&mut command);
         let mut child = command
+            .envs(self.environment.iter().map(|(name, value)| (name, value)))
             .arg(script)
             .args(args)
             .stdin(Stdio::piped())
