@@ -399,7 +399,7 @@ fn sessions_and_blocks_reach_peers_that_know_our_messages() {
     let mut player = rig.peer(&["play", bag.to_str().unwrap()]);
     assert_eq!(player.next()["matched"], true);
     player.next();
-    // A publisher that dies in the middle is nobody's loss.
+    // A publisher that dies after its last message is nobody's loss.
     send_signal(player.pid(), "KILL");
     let seen = wait_until(&rig, "painted", is_settled);
     let late = listen(&dumps[1], &["--latched"]);
