@@ -354,3 +354,43 @@ pub(super) fn mean_step(seams: &[Seam]) -> f64 {
     }
     if total_m > 0.0 { sum / total_m } else { 0.0 }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SIDE_PX: u32 = 20;
+
+    /// A photo along z whose bytes are a function of the column.
+    fn photo(byte: impl Fn(u32) -> u8) -> SeamPhoto {
+        let middle_px = 0.5 * f64::from(SIDE_PX - 1);
+        let pixels = (0..SIDE_PX * SIDE_PX).map(|i| [byte(i % SIDE_PX); 3]);
+        SeamPhoto {
+            color: ColorImage::new(SIDE_PX, SIDE_PX, pixels.collect()).unwrap(),
+            camera: PinholeCamera::new([10.0, 10.0, middle_px, middle_px], SIDE_PX, SIDE_PX)
+                .unwrap(),
+            camera_from_world: RigidTransform::identity(),
+        }
+    }
+
+    #[test]
+    fn the_slope_is_that_of_linear_light_per_pixel() {
+        let ahead_m = Point3::new(0.0, 0.0, 1.0);
+        let (_, flat) = photo(|_| 90).linear_at(&ahead_m).unwrap();
+        assert_eq!(flat, 0.0);
+        // Over the two columns around 9.5, from 8.5 to 10.5, where bytes are halfway.
+        let (_, slope) = photo(|x| (10 * x) as u8).linear_at(&ahead_m).unwrap();
+        let rise = linear_from_srgb(105) - linear_from_srgb(85);
+        assert!((slope - rise / 2.0).abs() < 1e-6, "{slope} {rise}");
+        assert!(photo(|_| 255).linear_at(&ahead_m).is_none());
+    }
+
+    #[test]
+    fn a_step_is_believed_as_far_as_it_exceeds_its_doubt() {
+        let step = [0.04f64; 3];
+        assert_eq!(belief(&step, 0.0), 1.0);
+        assert_eq!(belief(&step, 0.04f64.powi(2) * 1.01), 0.0);
+        let half = belief(&step, 0.5 * 0.04f64.powi(2));
+        assert!((half - 0.5).abs() < 1e-12, "{half}");
+    }
+}
