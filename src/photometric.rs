@@ -3,6 +3,7 @@
 //!
 //! - [`gain`]: keyframes + mesh → a gain per keyframe and channel, in linear light, so that all
 //!   show a surface point in the same colour; [`corrected`] applies it to decoded frames.
+//! - [`frame_gain`]: a new keyframe + some before it → its gain, once and for all.
 //! - [`pose`]: photos beside renderings → cameras turned by a fraction of a degree.
 //! - [`seams`]: a painted texture → the same with the steps between labels levelled, over whole
 //!   regions and then within a narrow band.
@@ -12,12 +13,14 @@
 
 mod conjugate;
 pub mod corrected;
+pub mod frame_gain;
 pub mod gain;
 mod points;
 pub mod pose;
 pub mod seams;
 
 pub use corrected::CorrectedFrames;
+pub use frame_gain::{GainedFrame, gain_of_frame};
 pub use gain::{GainParams, GainReport, GainTable, estimate_gains};
 pub use pose::{Painted, PoseMeasure, PoseParams, PosePhoto, measure_pose, turned};
 pub use seams::{SeamParams, SeamPhoto, SeamReport, level_seams};

@@ -170,7 +170,7 @@ fn look(
     clippy::cast_sign_loss,
     reason = "checked against the image"
 )]
-fn window_mean(
+pub(super) fn window_mean(
     image: &ColorImage,
     [x_px, y_px]: [f64; 2],
     radius_px: i64,
