@@ -148,6 +148,35 @@ impl TriMesh {
         0.5 * self.scaled_normal(triangle).norm()
     }
 
+    /// The triangles that `keep` says yes to, and the vertices that they use, in their order.
+    #[must_use]
+    pub fn filtered(&self, keep: impl Fn(TriangleId) -> bool) -> Self {
+        const UNUSED: u32 = u32::MAX;
+        let kept: Vec<[u32; 3]> = self
+            .triangle_ids()
+            .filter(|&triangle| keep(triangle))
+            .map(|triangle| self.triangles[triangle.index()])
+            .collect();
+        let mut new_of_old = vec![UNUSED; self.positions_m.len()];
+        for &vertex in kept.iter().flatten() {
+            new_of_old[vertex as usize] = 0;
+        }
+        let mut positions_m = Vec::new();
+        for (new, position_m) in new_of_old.iter_mut().zip(&self.positions_m) {
+            if *new != UNUSED {
+                #[expect(clippy::cast_possible_truncation, reason = "checked at construction")]
+                let index = positions_m.len() as u32;
+                *new = index;
+                positions_m.push(*position_m);
+            }
+        }
+        let renumbered = |corners: [u32; 3]| corners.map(|v| new_of_old[v as usize]);
+        Self {
+            positions_m,
+            triangles: kept.into_iter().map(renumbered).collect(),
+        }
+    }
+
     /// The same mesh in another frame.
     #[must_use]
     pub fn transformed(&self, dst_from_src: &crate::geom::RigidTransform) -> Self {
@@ -170,6 +199,20 @@ mod tests {
         [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]
             .map(|[x, y]| Point3::new(x, y, 0.0))
             .to_vec()
+    }
+
+    #[test]
+    fn filtering_drops_vertices_that_nothing_uses() {
+        let (mesh, _) = TriMesh::from_soup(square(), vec![[0, 1, 2], [0, 2, 3]]).expect("valid");
+        let second = mesh.filtered(|triangle| triangle.0 == 1);
+        assert_eq!(second.triangles(), [[0, 1, 2]]);
+        assert_eq!(second.num_vertices(), 3);
+        assert_eq!(
+            second.corners_m(TriangleId(0)),
+            mesh.corners_m(TriangleId(1))
+        );
+        assert_eq!(mesh.filtered(|_| true), mesh);
+        assert_eq!(mesh.filtered(|_| false), TriMesh::default());
     }
 
     #[test]
