@@ -144,6 +144,8 @@ pub struct SmoothSummary {
     pub seconds: f64,
     /// Texels that changed.
     pub num_texels: u64,
+    /// Steps that each of them made, on average.
+    pub num_steps_per_texel: f64,
     /// Share of the photos' patches whose offset from the rendering is trusted.
     pub aligned_share: f64,
     /// Mean length of those offsets, pixels.

@@ -172,6 +172,10 @@ fn smooth_rows(smooth: &SmoothSummary) -> Vec<Vec<String>> {
         pair("crop showed nothing at", grouped(smooth.num_empty as u64)),
         pair("time per step", format!("{per_step_ms:.0} ms")),
         pair("texels changed", grouped(smooth.num_texels)),
+        pair(
+            "steps of each",
+            format!("{:.1}", smooth.num_steps_per_texel),
+        ),
         pair("photos aligned", percent(smooth.aligned_share)),
         pair(
             "their offsets, mean / longest",

@@ -141,6 +141,8 @@ pub struct SmoothReport {
     pub curve: Vec<(usize, StepLosses)>,
     /// Texels that changed.
     pub num_texels: u64,
+    /// Steps that each of them made, on average.
+    pub num_steps_per_texel: f64,
     /// Offsets at the end.
     pub offsets: OffsetReport,
     /// What the discriminator ran on.
@@ -226,7 +228,9 @@ pub fn smooth(
         report.critic = critic.save()?;
     }
     report.curve = means.curve();
-    report.num_texels = run.texels.write_back(texture);
+    let written = run.texels.write_back(texture);
+    report.num_texels = written.num_texels;
+    report.num_steps_per_texel = written.num_steps as f64 / written.num_texels.max(1) as f64;
     report.offsets = run.offsets.report();
     report.seconds = begun.elapsed().as_secs_f64();
     Ok(report)

@@ -125,7 +125,7 @@ impl Default for TexSmoothParams {
             start: SmoothStart::Texture,
             crop_px: 256,
             max_jitter_px: 69,
-            learning_rate: 4e-3,
+            learning_rate: 1e-2,
             final_learning_rate_share: 0.1,
             betas: [0.5, 0.999],
             lambda: 10.0,

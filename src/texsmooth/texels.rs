@@ -92,6 +92,13 @@ impl Moments {
     }
 }
 
+/// Texels that have made a step, and their steps in all.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct TexelSteps {
+    pub(super) num_texels: u64,
+    pub(super) num_steps: u64,
+}
+
 #[derive(Clone, Debug, PartialEq)]
 struct Page {
     size_texel: [usize; 2],
@@ -171,9 +178,9 @@ impl Texels {
         Some(Self { pages, tiles, bins })
     }
 
-    /// Writes the texels that have made a step, clamped; the others stay byte for byte. Returns how many.
-    pub(super) fn write_back(&self, texture: &mut AtlasTexture) -> u64 {
-        let mut num_written = 0;
+    /// Writes the texels that have made a step, clamped; the others stay byte for byte.
+    pub(super) fn write_back(&self, texture: &mut AtlasTexture) -> TexelSteps {
+        let mut written = TexelSteps::default();
         for (page, target) in self.pages.iter().zip(&mut texture.pages) {
             let num_rows = page.size_texel[1].div_ceil(TILE_TEXEL);
             for tile_index in 0..page.tile_columns * num_rows {
@@ -189,12 +196,13 @@ impl Texels {
                 for_each_place(corner, page.size_texel, |place, index| {
                     if moments.num_steps[place] > 0 {
                         target.srgb[index] = tile.value[place].map(to_byte);
-                        num_written += 1;
+                        written.num_texels += 1;
+                        written.num_steps += u64::from(moments.num_steps[place]);
                     }
                 });
             }
         }
-        num_written
+        written
     }
 
     /// Sets every painted texel to one value, as if nothing had been painted (AdvTex-B).

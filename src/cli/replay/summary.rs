@@ -93,6 +93,7 @@ fn smooth_summary(report: &SmoothReport) -> SmoothSummary {
         backend: report.backend.clone(),
         seconds: report.seconds,
         num_texels: report.num_texels,
+        num_steps_per_texel: report.num_steps_per_texel,
         aligned_share: report.offsets.trusted_share,
         mean_offset_px: report.offsets.mean_px,
         max_offset_px: report.offsets.max_px,

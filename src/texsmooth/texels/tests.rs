@@ -148,7 +148,7 @@ fn steps_are_those_of_adam_and_touch_nothing_else() {
     assert_eq!(blue, 0.0);
 
     let mut written = original.clone();
-    assert_eq!(texels.write_back(&mut written), 1);
+    assert_eq!(texels.write_back(&mut written).num_texels, 1);
     let changed: Vec<usize> = (0..150 * 90)
         .filter(|&i| written.pages[0].srgb[i] != original.pages[0].srgb[i])
         .collect();
