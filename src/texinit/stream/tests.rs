@@ -182,13 +182,20 @@ fn other_forms_give_their_batch_too() {
 #[test]
 fn a_scan_that_outgrows_its_budget_is_made_sparser() {
     let mut params = texinit_params();
-    params.pack.max_texels = 3 * 64 * 64;
+    params.pack.max_texels = 64 * 64;
     let mut scan = Scan::new(5);
     scan.show_all();
+    scan.hide_right_of(0.0);
     let mut state = StreamInit::new(&params, &stream_params()).unwrap();
     update(&mut state, &scan);
+    assert_eq!(state.layout().texels_per_m, 24.0);
+    let before: Vec<StreamChartId> = state.chart_ids().collect();
+    scan.show_all();
+    let grown = update(&mut state, &scan);
     assert!(state.layout().texels_per_m < 24.0);
-    assert!(state.layout().num_pages <= 3);
+    assert_eq!(state.layout().num_pages, 1);
+    assert!(grown.has_new_pages);
+    assert_eq!(grown.gone_charts, before);
     check_equality(&state, &scan, &params);
 }
 
