@@ -17,6 +17,7 @@ pub use cells::{CellMask, QuarterTurn};
 pub use gutter::{GutterReport, dilate_gutters};
 pub use layout::{AtlasLayout, ChartId, PlacedChart, TexelRect};
 pub use pack::allocator::{PageAllocator, Slot, SlotId};
+pub use pack::placer::{ChartPlacer, Compaction, PlacedPiece};
 pub use pack::{PackError, PackParams, PackReport, PlaneChart, pack, pack_plates, pack_to_budget};
 pub use proof::num_shared_texels;
 pub use restrict::restrict;

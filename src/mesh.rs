@@ -2,6 +2,7 @@
 
 pub mod adjacency;
 pub mod components;
+pub mod diff;
 pub mod ids;
 pub mod manifold;
 pub mod model;
@@ -10,6 +11,7 @@ pub mod subdivide;
 pub mod tri_mesh;
 pub mod weld;
 
+pub use diff::{DiffCounts, DiffError, DiffParams, MeshDiff, OldTriangle, Origin, diff};
 pub use ids::{TriangleId, VertexId};
 pub use manifold::{Manifold, ManifoldReport};
 pub use model::{Material, ModelError, ModelParts, TexturedModel, Wrap};

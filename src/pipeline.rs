@@ -3,7 +3,8 @@
 //! [`gather()`] takes every event of a source: frames go to the keyframe store, the mesh replaces
 //! the one before it and is welded at the end of the stream. [`texture_scan()`] paints the mesh
 //! from some of the keyframes. [`run()`] does both, with some keyframes held back that are then
-//! compared with the rendering. [`live`] does the same while the scan goes on. The result depends on the events alone, not on time or threads.
+//! compared with the rendering. [`live`] does the same while the scan goes on, and [`mod@stream`] paints
+//! only what changed meanwhile. The result depends on the events alone, not on time or threads.
 
 mod clock;
 mod held_out;
@@ -14,6 +15,7 @@ pub mod progress;
 pub mod refine;
 pub mod run;
 pub mod scan;
+pub mod stream;
 pub mod texture;
 
 pub use clock::StageClock;
@@ -25,4 +27,5 @@ pub use progress::{NoProgress, Progress};
 pub use refine::{RefineParams, RefineReport};
 pub use run::{PipelineError, PipelineParams, Run, StageTime, run};
 pub use scan::{Scan, gather};
+pub use stream::{StreamPainter, Streamed, stream};
 pub use texture::{Textured, texture_scan};

@@ -11,12 +11,15 @@
 //!    ([`density`]); or the paper's plates of fixed size ([`crate::atlas::pack_plates`]).
 //! 5. [`transfer`]: colour copied from the chosen frame.
 //! 6. [`fill`]: colours for what no frame sees; then [`crate::atlas::gutter`].
+//!
+//! [`stream`] keeps the result up while mesh and keyframes change.
 
 pub mod assign;
 pub mod density;
 pub mod fill;
 pub mod flatten;
 pub mod overlap;
+pub mod stream;
 pub mod transfer;
 
 #[cfg(test)]
@@ -41,7 +44,7 @@ use overlap::{OverlapParams, OverlapReport};
 use transfer::{TransferError, TransferParams, TransferReport};
 
 /// Settings of all stages.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct TexInitParams {
     /// Charts and flattening.
     pub flatten: FlattenParams,
@@ -49,6 +52,8 @@ pub struct TexInitParams {
     pub overlap: OverlapParams,
     /// Choice of frames.
     pub assign: AssignParams,
+    /// What the choice for one triangle depends on.
+    pub coupling: Coupling,
     /// What decides how many texels there are.
     pub size_rule: SizeRule,
     /// Texels per metre, where these decide.
@@ -69,6 +74,7 @@ impl Default for TexInitParams {
             flatten: FlattenParams::default(),
             overlap: OverlapParams::default(),
             assign: AssignParams::default(),
+            coupling: Coupling::default(),
             size_rule: SizeRule::default(),
             density: DensityParams::default(),
             pack: PackParams::default(),
@@ -97,6 +103,16 @@ impl TexInitParams {
             ..Self::default()
         }
     }
+}
+
+/// What the frame that paints a triangle depends on, besides its own scores.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub enum Coupling {
+    /// All of the scan: adjacent triangles of different charts go together too.
+    #[default]
+    Scan,
+    /// Its chart: the form that can be kept up while the scan changes ([`stream`]).
+    Chart,
 }
 
 /// Why no texture was made.
@@ -223,7 +239,7 @@ pub fn texinit(
     let (charts, absorb_report) = flatten::absorb(mesh, &flat.manifold, charts, &params.flatten);
 
     observer.begin(Stage::Assign, frames.len());
-    let assignment = assign::assign(mesh, frames, decode, &params.assign, &advance)?;
+    let mut assignment = assign::assign(mesh, frames, decode, &params.assign, &advance)?;
 
     observer.begin(Stage::Pack, 0);
     let wanted_texels_per_m =
@@ -231,6 +247,9 @@ pub fn texinit(
     let (layout, pack_report) = place(mesh, &charts, frames, wanted_texels_per_m, params)?;
     let density_spread = DensitySpread::of(mesh, &layout);
     drop(charts);
+    if params.coupling == Coupling::Chart {
+        assignment = assigned(mesh, &layout, frames, decode, params, observer)?;
+    }
 
     let painted = paint(mesh, &layout, &assignment, frames, decode, params, observer)?;
 
@@ -280,9 +299,7 @@ pub fn repaint(
     params: &TexInitParams,
     observer: &dyn Observer,
 ) -> Result<Repainted, TexInitError> {
-    let advance = |num_steps: usize| observer.advance(num_steps);
-    observer.begin(Stage::Assign, frames.len());
-    let assignment = assign::assign(mesh, frames, decode, &params.assign, &advance)?;
+    let assignment = assigned(mesh, layout, frames, decode, params, observer)?;
     let painted = paint(mesh, layout, &assignment, frames, decode, params, observer)?;
     Ok(Repainted {
         texture: painted.texture,
@@ -291,6 +308,25 @@ pub fn repaint(
         fill: painted.fill,
         gutter: painted.gutter,
     })
+}
+
+/// Which frame paints which triangle of a layout.
+fn assigned(
+    mesh: &TriMesh,
+    layout: &AtlasLayout,
+    frames: &[Arc<Keyframe>],
+    decode: &Decode<'_>,
+    params: &TexInitParams,
+    observer: &dyn Observer,
+) -> Result<Assignment, AssignError> {
+    observer.begin(Stage::Assign, frames.len());
+    let advance = |num_steps: usize| observer.advance(num_steps);
+    match params.coupling {
+        Coupling::Scan => assign::assign(mesh, frames, decode, &params.assign, &advance),
+        Coupling::Chart => {
+            assign::assign_in_charts(mesh, layout, frames, decode, &params.assign, &advance)
+        }
+    }
 }
 
 struct Painted {

@@ -37,8 +37,17 @@ pub fn dilate_gutters(
     texture: &mut AtlasTexture,
 ) -> Result<GutterReport, TextureMismatch> {
     texture.check_fits(layout)?;
+    let charts: Vec<&PlacedChart> = layout.charts.iter().collect();
+    Ok(dilate_gutters_of(&charts, texture))
+}
+
+/// [`dilate_gutters`] around some charts of the texture's layout.
+pub(crate) fn dilate_gutters_of(
+    charts: &[&PlacedChart],
+    texture: &mut AtlasTexture,
+) -> GutterReport {
     let mut report = GutterReport::default();
-    for batch in layout.charts.chunks(CHARTS_PER_BATCH) {
+    for batch in charts.chunks(CHARTS_PER_BATCH) {
         let copies_by_chart: Vec<Option<Vec<Copy>>> = batch
             .par_iter()
             .map(|chart| {
@@ -62,7 +71,7 @@ pub fn dilate_gutters(
             }
         }
     }
-    Ok(report)
+    report
 }
 
 /// Indices of two texels of a page.

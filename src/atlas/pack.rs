@@ -29,6 +29,7 @@ mod arrange;
 mod bounding_rect;
 mod density;
 mod footprint;
+pub mod placer;
 mod plates;
 mod shape;
 
@@ -564,6 +565,31 @@ impl<'a> LaidPiece<'a> {
     }
 }
 
+impl LaidPiece<'_> {
+    /// Per triangle: its corners on the page.
+    fn corners_texel(&self) -> impl Iterator<Item = [[f32; 2]; 3]> {
+        let origin = [self.rect.x, self.rect.y].map(i64::from);
+        let on_page = move |corner: SubtexelPoint| {
+            std::array::from_fn(|axis| {
+                let subtexels = origin[axis] * i64::from(SUBTEXELS) + corner[axis];
+                // At most 24 bits: exact.
+                subtexels as f32 / SUBTEXELS as f32
+            })
+        };
+        self.corners.iter().map(move |corners| corners.map(on_page))
+    }
+
+    fn into_chart(self) -> PlacedChart {
+        PlacedChart {
+            page: self.page,
+            rect: self.rect,
+            cells: self.cells,
+            texels_per_m: self.piece.texels_per_m,
+            triangles: self.piece.triangles.clone(),
+        }
+    }
+}
+
 /// The layout, and the part of the report that can be read off it.
 fn lay_out(
     laid: Vec<LaidPiece<'_>>,
@@ -588,27 +614,14 @@ fn lay_out(
     };
     let mut num_in_charts = 0;
     for (id, laid) in (0u32..).zip(laid) {
-        let origin = [laid.rect.x, laid.rect.y].map(i64::from);
-        for (triangle, corners) in laid.piece.triangles.iter().zip(&laid.corners) {
+        for (triangle, corners) in laid.piece.triangles.iter().zip(laid.corners_texel()) {
             chart_of_triangle[triangle.index()] = ChartId(id);
-            corners_texel[triangle.index()] = corners.map(|corner| {
-                std::array::from_fn(|axis| {
-                    let subtexels = origin[axis] * i64::from(SUBTEXELS) + corner[axis];
-                    // At most 24 bits: exact.
-                    subtexels as f32 / SUBTEXELS as f32
-                })
-            });
+            corners_texel[triangle.index()] = corners;
         }
         report.num_owned_texels += laid.claims.num_owned_texels;
         report.num_subtexel_triangles += laid.claims.num_subtexel_triangles;
         report.num_own_texel_triangles += usize::from(laid.piece.is_own_texel);
-        let chart = PlacedChart {
-            page: laid.page,
-            rect: laid.rect,
-            cells: laid.cells,
-            texels_per_m: laid.piece.texels_per_m,
-            triangles: laid.piece.triangles.clone(),
-        };
+        let chart = laid.into_chart();
         let [width, height] = chart.cell_size_texel();
         num_in_charts += chart.cells.num_cells() * (width * height) as usize;
         charts.push(chart);

@@ -6,12 +6,12 @@ use super::{node, publish, smooth};
 use crate::export::NormalMode;
 use crate::export::pages::PageFormat;
 use crate::ingest::PoseSource;
-use crate::texinit::TexInitParams;
 use crate::texinit::assign::{ColorCue, DepthCue};
 use crate::texinit::density::SizeRule;
 use crate::texinit::flatten::{ChartBoundary, ChartMode};
 use crate::texinit::overlap::OverlapForm;
 use crate::texinit::transfer::{Lookup, MeanForm, TransferMode};
+use crate::texinit::{Coupling, TexInitParams};
 
 use Access::{Bool, Choice, Count, Float, Float32, Int, Text};
 
@@ -100,6 +100,8 @@ pub const PARAMETERS: &[Parameter] = &[
         Choice { words: &["streaming", "paper"], set: set_mode, get: mode }),
     row("texinit.init", "", "Colour of the chosen frame (assigned), or the mean over all frames (l2avg).",
         Choice { words: &["assigned", "l2avg"], set: set_init, get: init }),
+    row("texinit.coupling", "", "What the frame of a triangle depends on besides its own scores: all of the scan, or its chart alone, as stream.enabled has it.",
+        Choice { words: &["scan", "chart"], set: set_coupling, get: coupling }),
     row("texinit.chart.boundary", "", "Boundary of each chart: lengths kept (isometric), or a circle (disk), where charts are split until that distorts little enough.",
         Choice { words: &["isometric", "disk"], set: set_chart_boundary, get: chart_boundary }),
     row("texinit.chart.max_normal_deviation_rad", "rad", "Largest angle between a triangle's smoothed normal and its chart's.",
@@ -252,6 +254,21 @@ pub const PARAMETERS: &[Parameter] = &[
     row("texsmooth.checkpoint_interval", "", "Steps between checkpoints; 0 for none.",
         Count(|c| &mut c.pipeline.texsmooth.checkpoint_interval, 0, 1_000_000)),
 
+    row("stream.enabled", "", "Whether the node paints only what changed since the last painting: charts, labels and texels stay as long as mesh and keyframes do. Not with settings that work on the whole texture (photometric, texsmooth).",
+        Bool(|c| &mut c.pipeline.follows_changes)),
+    row("stream.quantum_m", "m", "Vertices are compared on a grid of this pitch.",
+        Float(|c| &mut c.pipeline.stream.diff.quantum_m, 1e-6, 0.01)),
+    row("stream.max_move_m", "m", "How far a vertex may move and keep its place in the atlas.",
+        Float(|c| &mut c.pipeline.stream.diff.max_move_m, 0.0, 1.0)),
+    row("stream.max_drift_m", "m", "A chart whose vertices may have moved this far in all is flattened anew.",
+        Float(|c| &mut c.pipeline.stream.max_drift_m, 0.0, 10.0)),
+    row("stream.remake_below_triangles", "", "Charts of fewer triangles beside changed surface are made anew with it.",
+        Count(|c| &mut c.pipeline.stream.remake_below_triangles, 0, 1_000_000)),
+    row("stream.page_size_texel", "texel", "Side of the pages, at most that of the atlas.",
+        Choice { words: &["256", "512", "1024", "2048", "4096", "8192", "16384"], set: set_stream_page_size, get: stream_page_size }),
+    row("stream.min_used_share", "", "Pages are emptied into others while charts hold less than this share of them.",
+        Float(|c| &mut c.pipeline.stream.min_used_share, 0.0, 1.0)),
+
     row("photometric.gain", "", "Whether each keyframe gets a gain per channel, so that all show the surface in the same colours.",
         Bool(|c| &mut c.pipeline.refine.has_gain)),
     row("photometric.gain_points", "", "Points of the surface at which keyframes are compared.",
@@ -372,6 +389,20 @@ fn mode(config: &Config) -> &'static str {
     match config.pipeline.texinit.flatten.mode {
         ChartMode::Streaming => "streaming",
         ChartMode::Paper => "paper",
+    }
+}
+
+fn set_coupling(config: &mut Config, word: &str) {
+    config.pipeline.texinit.coupling = match word {
+        "chart" => Coupling::Chart,
+        _ => Coupling::Scan,
+    };
+}
+
+fn coupling(config: &Config) -> &'static str {
+    match config.pipeline.texinit.coupling {
+        Coupling::Scan => "scan",
+        Coupling::Chart => "chart",
     }
 }
 
@@ -568,7 +599,20 @@ fn set_page_size(config: &mut Config, word: &str) {
 }
 
 fn page_size(config: &Config) -> &'static str {
-    let current = config.pipeline.texinit.pack.page_size_texel;
+    page_size_word(config.pipeline.texinit.pack.page_size_texel)
+}
+
+fn set_stream_page_size(config: &mut Config, word: &str) {
+    if let Some((_, size)) = PAGE_SIZES.iter().find(|(name, _)| *name == word) {
+        config.pipeline.stream.page_size_texel = *size;
+    }
+}
+
+fn stream_page_size(config: &Config) -> &'static str {
+    page_size_word(config.pipeline.stream.page_size_texel)
+}
+
+fn page_size_word(current: u32) -> &'static str {
     PAGE_SIZES
         .iter()
         .find(|(_, size)| *size == current)

@@ -3,10 +3,11 @@
 //! [`LiveScan`] is the front: it takes events one by one, as [`super::gather()`] does, and never
 //! waits for the rest. When keyframes or mesh have changed, a [`Capture`] of what there is (shared
 //! pointers, no copies) goes into a slot that holds one: [`Latest`]. [`Painter`] takes from it on
-//! a thread of its own and paints the whole with [`super::texture_scan()`]; changes that come
-//! meanwhile coalesce, and the latest is painted next.
+//! a thread of its own and paints the whole with [`super::texture_scan()`], or what changed
+//! ([`PipelineParams::follows_changes`]); changes that come meanwhile coalesce, and the latest is
+//! painted next.
 //!
-//! What is painted depends on the events alone: once the stream has ended and is flushed, it is
+//! Where the whole is painted it depends on the events alone: once the stream has ended and is flushed, it is
 //! what [`super::run()`] makes of the same events with no keyframe held back.
 
 mod latest;
@@ -17,12 +18,15 @@ use super::clock::StageClock;
 use super::progress::Progress;
 use super::run::{PipelineError, PipelineParams, StageTime};
 use super::scan::{Scan, prepared_mesh};
+use super::stream::{StreamPainter, Streamed};
 use super::texture::{Textured, texture_scan};
+use crate::atlas::{AtlasLayout, AtlasTexture};
 use crate::geom::Stamp;
 use crate::ingest::{Assembled, Assembler, IngestReport, TimedEvent};
 use crate::keyframe::quality;
 use crate::keyframe::{Keyframe, KeyframeParams, KeyframeReport, KeyframeStore};
 use crate::mesh::TriMesh;
+use crate::texinit::stream::StreamUpdate;
 
 pub use latest::Latest;
 
@@ -187,8 +191,14 @@ pub struct Painted {
     pub capture: Capture,
     /// The mesh in the world frame, welded and subdivided; what the texture is for.
     pub mesh: TriMesh,
-    /// The texture.
-    pub textured: Textured,
+    /// Where its triangles lie.
+    pub layout: AtlasLayout,
+    /// The pages. Sources name keyframes by their ids.
+    pub texture: AtlasTexture,
+    /// The keyframes that painted, their poses corrected where that was asked for.
+    pub keyframes: Vec<Arc<Keyframe>>,
+    /// What changed since the capture before, where only that was painted.
+    pub update: Option<StreamUpdate>,
     /// Wall times, in order.
     pub stages: Vec<StageTime>,
 }
@@ -197,6 +207,7 @@ pub struct Painted {
 #[derive(Debug)]
 pub struct Painter {
     cache: Option<KeyframeStore>,
+    stream: StreamPainter,
 }
 
 impl Painter {
@@ -204,10 +215,12 @@ impl Painter {
     pub fn new(params: &KeyframeParams) -> Self {
         Self {
             cache: Some(KeyframeStore::new(params)),
+            stream: StreamPainter::new(params),
         }
     }
 
-    /// Paints the whole.
+    /// Paints the whole, or where [`PipelineParams::follows_changes`] what changed since the last
+    /// capture.
     ///
     /// # Errors
     /// [`PipelineError`] when the capture is not paintable, its mesh cannot be welded, or a stage
@@ -218,6 +231,9 @@ impl Painter {
         params: &PipelineParams,
         progress: &dyn Progress,
     ) -> Result<Painted, PipelineError> {
+        if params.follows_changes && capture.is_paintable() {
+            return self.paint_changes(capture, params, progress);
+        }
         let clock = StageClock::new(progress);
         let Some(mesh) = capture.mesh.as_ref().filter(|m| m.num_triangles() > 0) else {
             return Err(PipelineError::NoMesh("none has arrived".to_owned()));
@@ -234,11 +250,42 @@ impl Painter {
         let textured = texture_scan(&scan, &capture.keyframes, params, &clock);
         let (mesh, store) = scan.into_parts();
         self.cache = Some(store);
+        let Textured {
+            keyframes, texinit, ..
+        } = textured?;
         Ok(Painted {
             capture,
             mesh,
-            textured: textured?,
+            layout: texinit.layout,
+            texture: texinit.texture,
+            keyframes,
+            update: None,
             stages: clock.finish(),
+        })
+    }
+
+    fn paint_changes(
+        &mut self,
+        capture: Capture,
+        params: &PipelineParams,
+        progress: &dyn Progress,
+    ) -> Result<Painted, PipelineError> {
+        let Streamed {
+            capture,
+            update,
+            stages,
+        } = self.stream.paint(capture, params, progress)?;
+        let Some(state) = self.stream.state() else {
+            return Err(PipelineError::NoMesh("nothing is painted".to_owned()));
+        };
+        Ok(Painted {
+            mesh: state.mesh().clone(),
+            layout: state.layout().clone(),
+            texture: state.texture().clone(),
+            keyframes: capture.keyframes.clone(),
+            update: Some(update),
+            capture,
+            stages,
         })
     }
 }

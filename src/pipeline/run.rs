@@ -13,6 +13,7 @@ use crate::keyframe::{Keyframe, KeyframeParams, KeyframeReport};
 use crate::mesh::weld::WeldError;
 use crate::mesh::{MeshError, TriMesh};
 use crate::photometric::PhotometricError;
+use crate::texinit::stream::{StreamError, StreamParams};
 use crate::texinit::{TexInit, TexInitError, TexInitParams};
 use crate::texsmooth::{SmoothError, SmoothReport, TexSmoothParams};
 
@@ -33,6 +34,10 @@ pub struct PipelineParams {
     pub refine: RefineParams,
     /// From an initial texture to a sharp one.
     pub texsmooth: TexSmoothParams,
+    /// Whether [`super::Painter`] paints only what changed since its last capture.
+    pub follows_changes: bool,
+    /// How it does that.
+    pub stream: StreamParams,
     /// A checkpoint of the optimisation to go on from.
     pub smooth_from: Option<Arc<Vec<u8>>>,
     /// What is held back to judge the result.
@@ -57,6 +62,12 @@ pub enum PipelineError {
     /// The texture could not be made.
     #[error(transparent)]
     TexInit(#[from] TexInitError),
+    /// The texture could not be kept up.
+    #[error(transparent)]
+    Stream(#[from] StreamError),
+    /// A setting that works on the whole texture at once, where changes are to be followed.
+    #[error("{0} works on the whole texture at once and cannot follow changes; switch it off")]
+    WholeScanOnly(&'static str),
     /// Gains or seams could not be worked on.
     #[error(transparent)]
     Photometric(#[from] PhotometricError),

@@ -29,16 +29,30 @@ pub struct BoundingBox {
 impl BoundingBox {
     /// The box around some triangles of a mesh.
     pub fn of(mesh: &TriMesh, triangles: impl IntoIterator<Item = TriangleId>) -> Self {
+        Self::around(triangles.into_iter().flat_map(|t| mesh.corners_m(t)))
+    }
+
+    /// The box around some points, metres.
+    pub fn around(points_m: impl IntoIterator<Item = Point3<f64>>) -> Self {
         let mut min = Point3::from([f64::INFINITY; 3]);
         let mut max = Point3::from([f64::NEG_INFINITY; 3]);
-        for corner in triangles.into_iter().flat_map(|t| mesh.corners_m(t)) {
-            min = min.inf(&corner);
-            max = max.sup(&corner);
+        for point in points_m {
+            min = min.inf(&point);
+            max = max.sup(&point);
         }
         Self {
             center: nalgebra::center(&min, &max),
             half_size: (max - min) / 2.0,
         }
+    }
+
+    /// Its corners, metres.
+    pub fn corners_m(&self) -> [Point3<f64>; 8] {
+        std::array::from_fn(|corner| {
+            let side = |axis: usize| if corner >> axis & 1 == 1 { 1.0 } else { -1.0 };
+            let reach = Vector3::from_fn(|axis, _| side(axis) * self.half_size[axis]);
+            self.center + reach
+        })
     }
 }
 
@@ -111,6 +125,22 @@ impl MeshPart {
             triangles: vec![all.clone()],
             front_to_back: vec![all],
             vertices: vec![0..mesh.num_vertices()],
+        }
+    }
+
+    /// Some of a mesh: ascending runs of its triangles.
+    pub fn of_runs(mesh: &TriMesh, runs: Vec<Range<u32>>) -> Self {
+        let num_vertices = mesh.num_vertices();
+        let mut is_wanted = vec![false; num_vertices.div_ceil(BLOCK_SIZE as usize)];
+        for (_, corners) in with_corners(&runs, mesh) {
+            for vertex in corners {
+                is_wanted[(vertex / BLOCK_SIZE) as usize] = true;
+            }
+        }
+        Self {
+            front_to_back: runs.clone(),
+            triangles: runs,
+            vertices: vertex_runs(&is_wanted, num_vertices),
         }
     }
 
@@ -223,15 +253,23 @@ impl MeshRuns {
                 is_wanted[block as usize] = true;
             }
         }
-        for (block, _) in is_wanted.iter().enumerate().filter(|(_, wanted)| **wanted) {
-            let start = block * block_size;
-            let end = (start + block_size).min(self.num_vertices);
-            push_joined(&mut part.vertices, start..end);
-        }
+        part.vertices = vertex_runs(&is_wanted, self.num_vertices);
         by_depth.sort_by(|(a, _), (b, _)| a.total_cmp(b));
         part.front_to_back = by_depth.into_iter().map(|(_, run)| run).collect();
         part
     }
+}
+
+/// The vertices of the wanted blocks.
+fn vertex_runs(is_wanted: &[bool], num_vertices: usize) -> Vec<Range<usize>> {
+    let block_size = BLOCK_SIZE as usize;
+    let mut runs = vec![];
+    for (block, _) in is_wanted.iter().enumerate().filter(|(_, wanted)| **wanted) {
+        let start = block * block_size;
+        let end = (start + block_size).min(num_vertices);
+        push_joined(&mut runs, start..end);
+    }
+    runs
 }
 
 /// Adds a run, to the last one where it follows on.

@@ -47,6 +47,27 @@ impl Default for VisibilityParams {
     }
 }
 
+impl VisibilityParams {
+    /// Half-width of the window in which depth edges are looked for, pixels of a buffer of that many
+    /// columns.
+    fn margin_px(&self, num_columns: u32) -> u32 {
+        let reference = u64::from(self.edge_margin_px) * u64::from(num_columns);
+        u32::try_from(reference.div_ceil(640))
+            .unwrap_or(u32::MAX)
+            .clamp(1, 64)
+    }
+
+    /// How far from its outline a surface shows in what the tests say of others, pixels of the
+    /// full-size camera.
+    pub fn reach_px(&self, camera: &PinholeCamera) -> f64 {
+        let [columns, rows] = buffer_size(camera, self.max_width_px);
+        let scale = (f64::from(columns) / f64::from(camera.width()))
+            .min(f64::from(rows) / f64::from(camera.height()));
+        // Two more for rounding outlines and points to pixels.
+        (f64::from(self.margin_px(columns)) + 2.0) / scale
+    }
+}
+
 /// A point of a surface as a camera sees it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SurfacePoint {
@@ -257,10 +278,7 @@ impl VisibilityBuffer {
     }
 
     fn margin_px(&self) -> u32 {
-        let reference = u64::from(self.params.edge_margin_px) * u64::from(self.view.width);
-        u32::try_from(reference.div_ceil(640))
-            .unwrap_or(u32::MAX)
-            .clamp(1, 64)
+        self.params.margin_px(self.view.width)
     }
 
     fn spread_extremes(&mut self) {

@@ -376,6 +376,8 @@ fn paint(shared: &Shared) {
         let mut params = config.pipeline;
         if shared.refine.swap(false, Ordering::Relaxed) {
             params.texsmooth.num_steps = params.texsmooth.num_steps.max(REFINE_STEPS);
+            // The optimisation works on the whole texture.
+            params.follows_changes = false;
         }
         let result = painter.paint(capture, &params, &NoProgress);
         painted_revision = Some(revision);
@@ -419,9 +421,9 @@ fn note(status: &mut PaintStatus, painted: &Painted) {
         entry.last_s = stage.seconds;
         entry.sum_s += stage.seconds;
     }
-    let texture = &painted.textured.texinit.texture;
+    let texture = &painted.texture;
     status.num_pages = texture.pages.len();
-    status.num_charts = painted.textured.texinit.layout.charts.len();
+    status.num_charts = painted.layout.charts.len();
     let texels = texture.pages.iter().flat_map(|page| &page.source);
     let (mut num_painted, mut num_covered) = (0_u64, 0_u64);
     for source in texels {

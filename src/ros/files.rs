@@ -190,11 +190,10 @@ pub fn save_painting(
     painted: &Painted,
     params: &ExportParams,
 ) -> Result<String, FileError> {
-    let texinit = &painted.textured.texinit;
-    let textured = TexturedMesh::new(&painted.mesh, &texinit.layout, &texinit.texture)?;
+    let textured = TexturedMesh::new(&painted.mesh, &painted.layout, &painted.texture)?;
     let kind = kind(path);
     if kind == Some(Kind::Glb) {
-        let pages = EncodedPages::encode(&texinit.texture, params.glb_pages)?;
+        let pages = EncodedPages::encode(&painted.texture, params.glb_pages)?;
         let (name, normals) = (&params.name, params.normals);
         write_atomic(path, |out| {
             glb::write(&textured, &pages, name, normals, out)

@@ -238,9 +238,8 @@ impl Server {
 
 fn glb_bytes(painting: &Painting, config: &Config) -> Result<Vec<u8>, GlbError> {
     let painted = &painting.painted;
-    let texinit = &painted.textured.texinit;
-    let textured = TexturedMesh::new(&painted.mesh, &texinit.layout, &texinit.texture)?;
-    let pages = EncodedPages::encode(&texinit.texture, config.export.glb_pages)?;
+    let textured = TexturedMesh::new(&painted.mesh, &painted.layout, &painted.texture)?;
+    let pages = EncodedPages::encode(&painted.texture, config.export.glb_pages)?;
     let mut bytes = Vec::new();
     let (name, normals) = (&config.export.name, config.export.normals);
     glb::write(&textured, &pages, name, normals, &mut bytes)?;

@@ -258,9 +258,9 @@ impl Outputs {
             session: painting.session,
             revision,
             mesh: &painted.mesh,
-            layout: &painted.textured.texinit.layout,
-            texture: &painted.textured.texinit.texture,
-            keyframes: &painted.textured.keyframes,
+            layout: &painted.layout,
+            texture: &painted.texture,
+            keyframes: &painted.keyframes,
         };
         for output in &mut self.outputs {
             match output.whole_at {

@@ -26,9 +26,11 @@
 //! Memory: 16 bytes per (triangle, frame) in view and not beaten by the empty label: a frame costs
 //! about what its JPEG costs.
 
+pub(crate) mod chart_table;
 pub mod cues;
 pub mod label;
 pub mod pairwise;
+pub(crate) mod quality;
 mod table;
 pub mod validity;
 
@@ -38,6 +40,7 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
+use crate::atlas::AtlasLayout;
 use crate::geom::{ImageError, RigidTransform};
 use crate::keyframe::{DecodedFrame, FrameQuality, Keyframe};
 use crate::mesh::TriMesh;
@@ -181,7 +184,7 @@ impl AssignParams {
         }
     }
 
-    fn check(&self) -> Result<(), AssignError> {
+    pub(crate) fn check(&self) -> Result<(), AssignError> {
         let rules = [
             ("area_weight", self.area_weight, self.area_weight >= 0.0),
             ("depth_weight", self.depth_weight, self.depth_weight <= 0.0),
@@ -247,6 +250,9 @@ pub enum AssignError {
         /// Its value.
         value: f32,
     },
+    /// Labels by chart, with a colour cue that couples charts at their common vertices.
+    #[error("labels by chart need a colour cue per triangle, not per vertex")]
+    CoupledAtVertices,
     /// More frames than labels can name.
     #[error("{0} frames are more than labels can name")]
     TooManyFrames(usize),
@@ -277,7 +283,8 @@ pub struct AssignReport {
     pub num_unlabelled: usize,
     /// Frames that paint at least one triangle.
     pub num_frames_used: usize,
-    /// Edges between triangles of different frames, each triangle decided alone.
+    /// Edges between triangles of different frames, each triangle decided alone; with labels by
+    /// chart, those within charts.
     pub num_seams_unary: usize,
     /// The same in the final labels.
     pub num_seams: usize,
@@ -339,6 +346,27 @@ pub fn assign(
     assign_poses(mesh, &poses, &decode_at, params, progress)
 }
 
+/// [`assign`] chart by chart ([`super::Coupling::Chart`]).
+///
+/// # Errors
+/// [`AssignError`]. A frame that does not decode is no error: it goes to the report.
+pub fn assign_in_charts(
+    mesh: &TriMesh,
+    layout: &AtlasLayout,
+    frames: &[Arc<Keyframe>],
+    decode: &(dyn Fn(&Keyframe) -> Result<Arc<DecodedFrame>, ImageError> + Sync),
+    params: &AssignParams,
+    progress: &(dyn Fn(usize) + Sync),
+) -> Result<Assignment, AssignError> {
+    if params.color_cue == ColorCue::ValidAtVertex {
+        return Err(AssignError::CoupledAtVertices);
+    }
+    let poses: Vec<FramePose> = frames.iter().map(|frame| (&**frame).into()).collect();
+    let decode_at = |frame: usize| decode(&frames[frame]);
+    let scored = ScoredFrames::new(mesh, &poses, &decode_at, params, progress)?;
+    Ok(scored.assign_in_charts(mesh, layout, params))
+}
+
 pub(crate) fn assign_poses(
     mesh: &TriMesh,
     frames: &[FramePose],
@@ -346,36 +374,73 @@ pub(crate) fn assign_poses(
     params: &AssignParams,
     progress: &(dyn Fn(usize) + Sync),
 ) -> Result<Assignment, AssignError> {
-    params.check()?;
-    let num_frames =
-        u32::try_from(frames.len()).map_err(|_| AssignError::TooManyFrames(frames.len()))?;
-    let runs = MeshRuns::new(mesh);
-    let scored: Vec<Result<FrameCandidates, FailedFrame>> = (0..num_frames)
-        .into_par_iter()
-        .map_init(cues::FrameWorkspace::default, |workspace, frame| {
-            let pose = &frames[frame as usize];
-            let candidates = decode(frame as usize)
-                .map_err(|error| error.to_string())
-                .and_then(|decoded| {
-                    cues::score_frame(mesh, &runs, pose, &decoded, params, workspace)
-                        .map_err(|error| error.to_string())
-                })
-                .map_err(|reason| FailedFrame { frame, reason });
-            progress(1);
-            candidates
-        })
-        .collect();
+    let scored = ScoredFrames::new(mesh, frames, decode, params, progress)?;
+    Ok(scored.assign(mesh, params))
+}
 
-    let mut table = CandidateTable::new(mesh.num_triangles(), mesh.num_vertices());
-    let mut columns = Vec::with_capacity(scored.len());
-    for (frame, candidates) in (0u32..).zip(scored) {
-        match candidates {
-            Ok(candidates) => columns.push((frame, frames[frame as usize].quality, candidates)),
-            Err(failed) => table.fail(failed),
+/// What all frames say of all triangles.
+pub(crate) struct ScoredFrames {
+    columns: Vec<(u32, FrameQuality, FrameCandidates)>,
+    failed: Vec<FailedFrame>,
+}
+
+impl ScoredFrames {
+    /// Scores every frame against every triangle.
+    ///
+    /// # Errors
+    /// [`AssignError`].
+    pub(crate) fn new(
+        mesh: &TriMesh,
+        frames: &[FramePose],
+        decode: &(dyn Fn(usize) -> Result<Arc<DecodedFrame>, ImageError> + Sync),
+        params: &AssignParams,
+        progress: &(dyn Fn(usize) + Sync),
+    ) -> Result<Self, AssignError> {
+        params.check()?;
+        let num_frames =
+            u32::try_from(frames.len()).map_err(|_| AssignError::TooManyFrames(frames.len()))?;
+        let runs = MeshRuns::new(mesh);
+        let scored: Vec<Result<FrameCandidates, FailedFrame>> = (0..num_frames)
+            .into_par_iter()
+            .map_init(cues::FrameWorkspace::default, |workspace, frame| {
+                let pose = &frames[frame as usize];
+                let candidates = decode(frame as usize)
+                    .map_err(|error| error.to_string())
+                    .and_then(|decoded| {
+                        cues::score_frame(mesh, &runs, pose, &decoded, params, workspace)
+                            .map_err(|error| error.to_string())
+                    })
+                    .map_err(|reason| FailedFrame { frame, reason });
+                progress(1);
+                candidates
+            })
+            .collect();
+        let mut all = Self {
+            columns: Vec::with_capacity(scored.len()),
+            failed: Vec::new(),
+        };
+        for (frame, candidates) in (0u32..).zip(scored) {
+            match candidates {
+                Ok(candidates) => {
+                    let quality = frames[frame as usize].quality;
+                    all.columns.push((frame, quality, candidates));
+                }
+                Err(failed) => all.failed.push(failed),
+            }
         }
+        Ok(all)
     }
-    table.add_all(columns);
-    Ok(table.assign(mesh, params))
+
+    /// The labels that all triangles get together.
+    pub(crate) fn assign(self, mesh: &TriMesh, params: &AssignParams) -> Assignment {
+        let mut table = CandidateTable::new(mesh.num_triangles(), mesh.num_vertices());
+        for failed in self.failed {
+            table.fail(failed);
+        }
+        table.add_all(self.columns);
+        let typical = table.typical_quality();
+        table.assign(mesh, params, typical)
+    }
 }
 
 #[cfg(test)]

@@ -15,10 +15,13 @@ mod diffusion;
 use rayon::prelude::*;
 
 use crate::atlas::{
-    AtlasLayout, AtlasTexture, PlacedChart, TexelSource, TextureMismatch, for_each_texel_within,
+    AtlasLayout, AtlasTexture, PlacedChart, TexelSource, TextureMismatch, TexturePage,
+    for_each_texel_within,
 };
 use crate::geom::color::{linear_from_srgb, srgb_from_linear};
+use crate::mesh::weld::equal_representatives;
 use crate::mesh::{TriMesh, TriangleId};
+use crate::texinit::flatten::cut::find;
 
 /// How unseen texels are filled.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -94,30 +97,102 @@ pub fn fill_unseen(
 ) -> Result<FillReport, FillError> {
     check(mesh, layout, texture, params)?;
     let coverage = coverage(layout, texture, mesh.num_triangles());
-    let mut report = FillReport::default();
-    for triangle in &coverage {
-        report.num_painted_texels += triangle.num_painted;
-        report.num_unpainted_triangles +=
-            usize::from(triangle.num_painted == 0 && triangle.num_unpainted > 0);
-    }
     if coverage.iter().all(|triangle| triangle.num_unpainted == 0) {
-        return Ok(report);
+        return Ok(FillReport::of(&coverage));
     }
-    let mut colours = VertexColours::of_unpainted(mesh, &coverage);
-    colours.add_painted(layout, texture, &coverage);
-    let solved = diffusion::diffuse(mesh, &colours.vertices, colours.means(), params);
+    let is_wanted: Vec<bool> = coverage.iter().map(|c| !c.is_complete()).collect();
+    let surface = Surface {
+        mesh,
+        representative: &equal_representatives(mesh.positions_m()),
+    };
+    let mut report = fill_triangles(&surface, layout, texture, &coverage, &is_wanted, params);
+    let FillReport {
+        num_painted_texels,
+        num_unpainted_triangles,
+        ..
+    } = FillReport::of(&coverage);
+    report.num_painted_texels = num_painted_texels;
+    report.num_unpainted_triangles = num_unpainted_triangles;
+    Ok(report)
+}
+
+impl FillReport {
+    /// What is there before anything is filled.
+    fn of(coverage: &[Coverage]) -> Self {
+        let is_unpainted = |c: &&Coverage| c.num_painted == 0 && c.num_unpainted > 0;
+        Self {
+            num_painted_texels: coverage.iter().map(|c| c.num_painted as usize).sum(),
+            num_unpainted_triangles: coverage.iter().filter(is_unpainted).count(),
+            ..Self::default()
+        }
+    }
+}
+
+/// A mesh, and for each of its vertices the one that stands for its position.
+pub(crate) struct Surface<'a> {
+    pub(crate) mesh: &'a TriMesh,
+    pub(crate) representative: &'a [u32],
+}
+
+/// Fills the wanted triangles: all, or whole regions ([`regions_at`]) of those that are not completely
+/// painted.
+pub(crate) fn fill_triangles(
+    surface: &Surface<'_>,
+    layout: &AtlasLayout,
+    texture: &mut AtlasTexture,
+    coverage: &[Coverage],
+    is_wanted: &[bool],
+    params: &FillParams,
+) -> FillReport {
+    let mut report = FillReport::default();
+    let mut colours = VertexColours::of_wanted(surface, is_wanted);
+    colours.add_painted(layout, texture, coverage);
+    let solved = diffusion::diffuse(surface.mesh, &colours.vertices, colours.means(), params);
     report.num_diffused_vertices = solved.num_diffused;
     report.num_sweeps = solved.num_sweeps;
-    paint(
+    let filling = Filling {
         layout,
-        texture,
-        &coverage,
-        &colours,
-        &solved.linear,
-        params,
-        &mut report,
-    );
-    Ok(report)
+        coverage,
+        is_wanted,
+        colours: &colours,
+        linear: &solved.linear,
+    };
+    filling.paint(texture, params, &mut report);
+    report
+}
+
+/// Which triangles are in a region with one of the given vertices: triangles that are not
+/// completely painted are in one region where they share a vertex.
+pub(crate) fn regions_at(
+    surface: &Surface<'_>,
+    coverage: &[Coverage],
+    is_seed: &[bool],
+) -> Vec<bool> {
+    let corners_of = |triangle: usize| {
+        let corners = surface.mesh.triangles()[triangle];
+        corners.map(|corner| surface.representative[corner as usize])
+    };
+    let open: Vec<usize> = (0..coverage.len())
+        .filter(|&triangle| !coverage[triangle].is_complete())
+        .collect();
+    let mut set: Vec<u32> = (0_u32..).take(surface.mesh.num_vertices()).collect();
+    for &triangle in &open {
+        let [a, b, c] = corners_of(triangle);
+        for (one, other) in [(a, b), (b, c)] {
+            let (one, other) = (find(&mut set, one), find(&mut set, other));
+            set[one.max(other) as usize] = one.min(other);
+        }
+    }
+    let mut is_wanted_set = vec![false; surface.mesh.num_vertices()];
+    for (vertex, _) in (0_u32..).zip(is_seed).filter(|(_, is_seed)| **is_seed) {
+        let representative = surface.representative[vertex as usize];
+        is_wanted_set[find(&mut set, representative) as usize] = true;
+    }
+    let mut is_wanted = vec![false; coverage.len()];
+    for triangle in open {
+        is_wanted[triangle] = is_wanted_set[find(&mut set, corners_of(triangle)[0]) as usize];
+    }
+    is_wanted
 }
 
 fn check(
@@ -142,13 +217,26 @@ fn check(
 }
 
 /// How many of a triangle's texels are painted.
-#[derive(Clone, Copy, Default)]
-struct Coverage {
-    num_painted: usize,
-    num_unpainted: usize,
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Coverage {
+    num_painted: u32,
+    num_unpainted: u32,
 }
 
 impl Coverage {
+    /// Of a triangle on a page of the given size.
+    pub(crate) fn of(corners_texel: &[[f32; 2]; 3], page: &TexturePage) -> Self {
+        let mut coverage = Self::default();
+        for_each_texel_within(corners_texel, [page.width, page.height], |x, y, _| {
+            if is_painted(page.source[(y * page.width + x) as usize]) {
+                coverage.num_painted += 1;
+            } else {
+                coverage.num_unpainted += 1;
+            }
+        });
+        coverage
+    }
+
     fn is_complete(self) -> bool {
         self.num_unpainted == 0 && self.num_painted > 0
     }
@@ -182,16 +270,9 @@ fn coverage(layout: &AtlasLayout, texture: &AtlasTexture, num_triangles: usize) 
         let Some(page) = texture.pages.get(chart.page as usize) else {
             return Vec::new();
         };
-        let of_triangle = |&triangle: &TriangleId| {
-            let mut coverage = Coverage::default();
-            for_each_index(layout, triangle, |index, _| {
-                if is_painted(page.source[index]) {
-                    coverage.num_painted += 1;
-                } else {
-                    coverage.num_unpainted += 1;
-                }
-            });
-            coverage
+        let of_triangle = |triangle: &TriangleId| {
+            let corners = layout.corners_texel.get(triangle.index());
+            corners.map_or_else(Coverage::default, |corners| Coverage::of(corners, page))
         };
         chart.triangles.iter().map(of_triangle).collect()
     };
@@ -215,9 +296,9 @@ struct VertexColours {
 }
 
 impl VertexColours {
-    fn of_unpainted(mesh: &TriMesh, coverage: &[Coverage]) -> Self {
-        let is_wanted = |triangle: usize| !coverage[triangle].is_complete();
-        let vertices = diffusion::SurfaceVertices::of(mesh, is_wanted);
+    fn of_wanted(surface: &Surface<'_>, is_wanted: &[bool]) -> Self {
+        let vertices =
+            diffusion::SurfaceVertices::of(surface.mesh, surface.representative, is_wanted);
         Self {
             sums: vec![[0.0; 4]; vertices.len()],
             vertices,
@@ -291,72 +372,69 @@ type Filled = (usize, Option<[u8; 3]>);
 /// Charts done at a time; bounds what is held before it is written.
 const CHARTS_PER_BATCH: usize = 256;
 
-fn paint(
-    layout: &AtlasLayout,
-    texture: &mut AtlasTexture,
-    coverage: &[Coverage],
-    colours: &VertexColours,
-    linear: &[Option<[f64; 3]>],
-    params: &FillParams,
-    report: &mut FillReport,
-) {
-    for batch in layout.charts.chunks(CHARTS_PER_BATCH) {
-        let by_chart: Vec<Vec<Filled>> = batch
-            .par_iter()
-            .map(|chart| fill_chart(chart, layout, texture, coverage, colours, linear))
-            .collect();
-        for (chart, filled) in batch.iter().zip(by_chart) {
-            let Some(page) = texture.pages.get_mut(chart.page as usize) else {
-                continue;
-            };
-            for (index, srgb) in filled {
-                page.srgb[index] = srgb.unwrap_or(params.neutral_srgb);
-                page.source[index] = TexelSource::DIFFUSED;
-                page.confidence[index] = 0;
-                match srgb {
-                    Some(_) => report.num_diffused_texels += 1,
-                    None => report.num_neutral_texels += 1,
+/// What filling reads.
+struct Filling<'a> {
+    layout: &'a AtlasLayout,
+    coverage: &'a [Coverage],
+    is_wanted: &'a [bool],
+    colours: &'a VertexColours,
+    /// Per vertex.
+    linear: &'a [Option<[f64; 3]>],
+}
+
+impl Filling<'_> {
+    fn paint(&self, texture: &mut AtlasTexture, params: &FillParams, report: &mut FillReport) {
+        for batch in self.layout.charts.chunks(CHARTS_PER_BATCH) {
+            let by_chart: Vec<Vec<Filled>> = batch
+                .par_iter()
+                .map(|chart| self.fill_chart(chart, texture))
+                .collect();
+            for (chart, filled) in batch.iter().zip(by_chart) {
+                let Some(page) = texture.pages.get_mut(chart.page as usize) else {
+                    continue;
+                };
+                for (index, srgb) in filled {
+                    page.srgb[index] = srgb.unwrap_or(params.neutral_srgb);
+                    page.source[index] = TexelSource::DIFFUSED;
+                    page.confidence[index] = 0;
+                    match srgb {
+                        Some(_) => report.num_diffused_texels += 1,
+                        None => report.num_neutral_texels += 1,
+                    }
                 }
             }
         }
     }
-}
 
-fn fill_chart(
-    chart: &PlacedChart,
-    layout: &AtlasLayout,
-    texture: &AtlasTexture,
-    coverage: &[Coverage],
-    colours: &VertexColours,
-    linear: &[Option<[f64; 3]>],
-) -> Vec<Filled> {
-    let mut filled = Vec::new();
-    let Some(page) = texture.pages.get(chart.page as usize) else {
-        return filled;
-    };
-    for &triangle in &chart.triangles {
-        if coverage
-            .get(triangle.index())
-            .is_none_or(|c| c.num_unpainted == 0)
-        {
-            continue;
+    fn fill_chart(&self, chart: &PlacedChart, texture: &AtlasTexture) -> Vec<Filled> {
+        let mut filled = Vec::new();
+        let Some(page) = texture.pages.get(chart.page as usize) else {
+            return filled;
+        };
+        let has_to_be_filled = |triangle: &&TriangleId| {
+            let index = triangle.index();
+            let is_wanted = self.is_wanted.get(index).copied().unwrap_or(false);
+            is_wanted && self.coverage[index].num_unpainted > 0
+        };
+        for &triangle in chart.triangles.iter().filter(has_to_be_filled) {
+            let corners = self
+                .colours
+                .vertices
+                .of_triangle(triangle)
+                .map(|vertex| vertex.and_then(|v| self.linear[v]));
+            for_each_index(self.layout, triangle, |index, weights| {
+                if is_painted(page.source[index]) {
+                    return;
+                }
+                let srgb = match corners {
+                    [Some(a), Some(b), Some(c)] => Some(blend([a, b, c], weights)),
+                    _ => None,
+                };
+                filled.push((index, srgb));
+            });
         }
-        let [a, b, c] = colours
-            .vertices
-            .of_triangle(triangle)
-            .map(|vertex| vertex.and_then(|v| linear[v]));
-        for_each_index(layout, triangle, |index, weights| {
-            if is_painted(page.source[index]) {
-                return;
-            }
-            let srgb = match (a, b, c) {
-                (Some(a), Some(b), Some(c)) => Some(blend([a, b, c], weights)),
-                _ => None,
-            };
-            filled.push((index, srgb));
-        });
+        filled
     }
-    filled
 }
 
 fn blend(linear: [[f64; 3]; 3], weights: [f32; 3]) -> [u8; 3] {

@@ -32,13 +32,13 @@ use rayon::prelude::*;
 
 use crate::atlas::texels::for_each_texel_within;
 use crate::atlas::{AtlasLayout, AtlasTexture, TexelSource, TexturePage};
-use crate::geom::{ImageError, RigidTransform};
+use crate::geom::{ImageError, PinholeCamera, RigidTransform};
 use crate::keyframe::{DecodedFrame, Keyframe};
 use crate::mesh::{TriMesh, TriangleId};
 use crate::render::{Frustum, MeshRuns, VisibilityBuffer, VisibilityParams};
 
 use super::assign::{Assignment, FailedFrame, FramePose};
-use mean::MeanTexels;
+pub(crate) use mean::{MAX_FRAMES_IN_ANY_ORDER, MeanTexels, TexelSum};
 use sampler::TriangleSampler;
 
 /// Confidence of texels that show a mean over frames.
@@ -210,56 +210,52 @@ pub(crate) fn transfer_poses(
     let mut pages: Vec<TexturePage> = (0..layout.num_pages)
         .map(|_| TexturePage::blank(width, height))
         .collect();
-    let mut report = TransferReport::default();
-
-    let painter = Painter {
-        mesh,
-        runs: MeshRuns::new(mesh),
-        layout,
-        params,
-        is_assigned: params.mode == TransferMode::Assigned,
-        is_partly_hidden: &assignment.is_partly_hidden,
-    };
-    let by_frame = triangles_by_frame(&assignment.label, frames.len());
+    let is_assigned = params.mode == TransferMode::Assigned;
+    let mut by_frame = vec![vec![]; frames.len()];
+    if is_assigned {
+        by_frame = triangles_by_frame(&assignment.label, frames.len());
+    }
     let needs_mean = |triangle: &TriangleId| {
-        !painter.is_assigned
+        !is_assigned
             || assignment.label[triangle.index()].is_none()
             || assignment.is_partly_hidden[triangle.index()]
     };
-    let mut means = MeanTexels::new(mesh, layout, mesh.triangle_ids().filter(needs_mean));
-
-    let mut buffers = vec![VisibilityBuffer::default(); GROUP_SIZE];
-    let groups = frames.chunks(GROUP_SIZE).zip(by_frame.chunks(GROUP_SIZE));
-    for (group_index, (group, group_triangles)) in groups.enumerate() {
-        let first = group_index * GROUP_SIZE;
-        let looks: Vec<Result<Option<FrameLook<'_>>, FailedFrame>> = group
-            .par_iter()
-            .zip(group_triangles)
-            .zip(&mut buffers)
-            .enumerate()
-            .map(|(offset, ((pose, triangles), buffer))| {
-                let frame = first + offset;
-                let look = painter.look(pose, triangles, &means, buffer, &|| decode(frame));
-                progress(1);
-                look.map_err(|reason| FailedFrame {
-                    #[expect(clippy::cast_possible_truncation, reason = "labels are u32")]
-                    frame: frame as u32,
-                    reason,
-                })
-            })
-            .collect();
-        let mut seen = vec![];
-        for look in looks {
-            match look {
-                Ok(look) => seen.extend(look),
-                Err(failed) => report.failed_frames.push(failed),
-            }
-        }
-        report.num_assigned += scatter(&seen, &mut pages);
-        means.accumulate(mesh, layout, &seen, params);
-    }
-    (report.num_mean, report.num_unseen) = means.write(layout, params.mean_form, &mut pages);
+    let means = MeanTexels::new(mesh, layout, mesh.triangle_ids().filter(needs_mean));
+    let painter = Painter {
+        mesh,
+        runs: &MeshRuns::new(mesh),
+        layout,
+        params,
+        is_partly_hidden: &assignment.is_partly_hidden,
+    };
+    let job = PaintJob {
+        by_frame,
+        means: vec![MeanJob {
+            texels: means,
+            counts: vec![true; frames.len()],
+        }],
+        cameras: None,
+    };
+    let (_, report) = painter.paint_all(job, frames, decode, progress, &mut pages);
     Ok((AtlasTexture { pages }, report))
+}
+
+/// What is to be painted.
+pub(crate) struct PaintJob<'a> {
+    /// Per frame: the triangles that it paints.
+    pub(crate) by_frame: Vec<Vec<TriangleId>>,
+    /// Triangles that show a mean where no frame paints them.
+    pub(crate) means: Vec<MeanJob>,
+    /// Per frame, its camera, where that is known before the frame is decoded: what neither paints a
+    /// triangle nor sees one with a mean is then not decoded.
+    pub(crate) cameras: Option<&'a [Option<PinholeCamera>]>,
+}
+
+/// Means over some of the frames.
+pub(crate) struct MeanJob {
+    pub(crate) texels: MeanTexels,
+    /// Per frame: whether it is to be added.
+    pub(crate) counts: Vec<bool>,
 }
 
 fn check(
@@ -316,6 +312,8 @@ fn triangles_by_frame(label: &[Option<u32>], num_frames: usize) -> Vec<Vec<Trian
 
 /// What came of looking through one frame.
 struct FrameLook<'a> {
+    /// Which of the frames.
+    index: usize,
     source: TexelSource,
     frame: Arc<DecodedFrame>,
     pose: CameraPose,
@@ -346,37 +344,100 @@ impl CameraPose {
     }
 }
 
-struct Painter<'a> {
-    mesh: &'a TriMesh,
-    runs: MeshRuns,
-    layout: &'a AtlasLayout,
-    params: &'a TransferParams,
-    is_assigned: bool,
-    is_partly_hidden: &'a [bool],
+/// Paints triangles of one mesh and layout.
+pub(crate) struct Painter<'a> {
+    pub(crate) mesh: &'a TriMesh,
+    pub(crate) runs: &'a MeshRuns,
+    pub(crate) layout: &'a AtlasLayout,
+    pub(crate) params: &'a TransferParams,
+    pub(crate) is_partly_hidden: &'a [bool],
 }
 
 impl Painter<'_> {
+    /// Paints what the job says and nothing else: texels of its triangles that nobody sees stay as
+    /// they are. Returns the means with what the frames added to them.
+    pub(crate) fn paint_all(
+        &self,
+        mut job: PaintJob<'_>,
+        frames: &[FramePose],
+        decode: &(dyn Fn(usize) -> Result<Arc<DecodedFrame>, ImageError> + Sync),
+        progress: &(dyn Fn(usize) + Sync),
+        pages: &mut [TexturePage],
+    ) -> (Vec<MeanJob>, TransferReport) {
+        let mut report = TransferReport::default();
+        let mut buffers = vec![VisibilityBuffer::default(); GROUP_SIZE];
+        for (group_index, group) in frames.chunks(GROUP_SIZE).enumerate() {
+            let first = group_index * GROUP_SIZE;
+            let looks: Vec<Result<Option<FrameLook<'_>>, FailedFrame>> = group
+                .par_iter()
+                .zip(&mut buffers)
+                .enumerate()
+                .map(|(offset, (pose, buffer))| {
+                    let frame = first + offset;
+                    let look = self.look(pose, frame, &job, buffer, &|| decode(frame));
+                    progress(1);
+                    look.map_err(|reason| FailedFrame {
+                        #[expect(clippy::cast_possible_truncation, reason = "labels are u32")]
+                        frame: frame as u32,
+                        reason,
+                    })
+                })
+                .collect();
+            let mut seen = vec![];
+            for look in looks {
+                match look {
+                    Ok(look) => seen.extend(look),
+                    Err(failed) => report.failed_frames.push(failed),
+                }
+            }
+            report.num_assigned += scatter(&seen, pages);
+            for MeanJob { texels, counts } in &mut job.means {
+                let looks = seen.iter().filter(|look| counts[look.index]);
+                let looks: Vec<&FrameLook<'_>> = looks.collect();
+                texels.accumulate(self.mesh, self.layout, &looks, self.params);
+            }
+        }
+        for MeanJob { texels, .. } in &job.means {
+            let (num_mean, num_unseen) = texels.write(self.layout, self.params.mean_form, pages);
+            report.num_mean += num_mean;
+            report.num_unseen += num_unseen;
+        }
+        (job.means, report)
+    }
+
     /// Decodes the frame and paints its triangles; nothing when no texel needs it.
     fn look<'b>(
         &self,
         pose: &FramePose,
-        triangles: &[TriangleId],
-        means: &MeanTexels,
+        index: usize,
+        job: &PaintJob<'_>,
         buffer: &'b mut VisibilityBuffer,
         decode: &dyn Fn() -> Result<Arc<DecodedFrame>, ImageError>,
     ) -> Result<Option<FrameLook<'b>>, String> {
-        let triangles = if self.is_assigned { triangles } else { &[] };
-        if triangles.is_empty() && means.is_empty() {
+        let triangles = &*job.by_frame[index];
+        let means = || job.means.iter().filter(|means| means.counts[index]);
+        let camera_pose = CameraPose::new(pose.world_from_camera.inverse());
+        let camera_from_world = &camera_pose.camera_from_world;
+        let any_mean_in = |camera: &PinholeCamera| {
+            let frustum = Frustum::new(camera, camera_from_world);
+            means().any(|means| means.texels.any_in_view(&frustum))
+        };
+        let may_need_mean = match job.cameras.and_then(|cameras| cameras[index]) {
+            Some(camera) => any_mean_in(&camera),
+            None => means().any(|means| !means.texels.is_empty()),
+        };
+        if triangles.is_empty() && !may_need_mean {
             return Ok(None);
         }
         let frame = decode().map_err(|error| error.to_string())?;
-        let camera_pose = CameraPose::new(pose.world_from_camera.inverse());
-        let camera_from_world = &camera_pose.camera_from_world;
         let mut visibility = None;
-        let has_to_look = self.params.mean_form == MeanForm::Seeing
-            || self.is_partly_hidden.iter().any(|&is_hidden| is_hidden);
-        let frustum = Frustum::new(&frame.color_camera, camera_from_world);
-        if has_to_look && means.any_in_view(&frustum) {
+        let any_hidden = |triangles: &[TriangleId]| {
+            let mut triangles = triangles.iter();
+            triangles.any(|triangle| self.is_partly_hidden[triangle.index()])
+        };
+        let has_means =
+            self.params.mean_form == MeanForm::Seeing && any_mean_in(&frame.color_camera);
+        if has_means || any_hidden(triangles) {
             let part = self.runs.in_view(&frame.color_camera, camera_from_world);
             buffer
                 .update_part(
@@ -403,6 +464,7 @@ impl Painter<'_> {
             self.paint(triangle, &sampler, &frame, hiding, page);
         }
         Ok(Some(FrameLook {
+            index,
             source: TexelSource::keyframe(pose.id),
             frame,
             pose: camera_pose,

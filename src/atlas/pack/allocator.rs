@@ -112,6 +112,21 @@ impl PageAllocator {
 
     /// [`Self::insert`] in one of the given turns.
     pub fn insert_turned(&mut self, shape: &CellMask, turns: &[QuarterTurn]) -> Option<Slot> {
+        self.insert_where(shape, turns, |_| true, true)
+    }
+
+    /// [`Self::insert`] as the shape stands, on an open page other than `page`.
+    pub fn insert_off(&mut self, shape: &CellMask, page: u32) -> Option<Slot> {
+        self.insert_where(shape, &[QuarterTurn::None], |other| other != page, false)
+    }
+
+    fn insert_where(
+        &mut self,
+        shape: &CellMask,
+        turns: &[QuarterTurn],
+        may_use: impl Fn(u32) -> bool,
+        may_open: bool,
+    ) -> Option<Slot> {
         if shape.num_cells() == 0 {
             return None;
         }
@@ -121,10 +136,12 @@ impl PageAllocator {
             .collect();
         let mut best = None;
         for (page_index, page) in (0u32..).zip(&self.pages) {
-            best = best_fit(page, page_index, &turned, best);
+            if may_use(page_index) {
+                best = best_fit(page, page_index, &turned, best);
+            }
         }
         if best.is_none() {
-            if self.num_pages() >= self.max_pages {
+            if !may_open || self.num_pages() >= self.max_pages {
                 return None;
             }
             let page = Page::new(self.size_cells);
@@ -150,6 +167,30 @@ impl PageAllocator {
         let (slot, mask) = self.held.remove(&id)?;
         self.pages[slot.page as usize].change(&mask, slot.cell, |held, cells| held & !cells);
         Some(slot)
+    }
+
+    /// Closes a page without shapes; the last page takes its number. Whether that was done: not where
+    /// there is no such page or it holds a shape.
+    pub fn close_page(&mut self, page: u32) -> bool {
+        let is_held = self.held.values().any(|(slot, _)| slot.page == page);
+        if is_held || page >= self.num_pages() {
+            return false;
+        }
+        self.pages.swap_remove(page as usize);
+        let last = self.num_pages();
+        for (slot, _) in self.held.values_mut() {
+            if slot.page == last {
+                slot.page = page;
+            }
+        }
+        true
+    }
+
+    /// Cells of a page that a shape holds.
+    pub fn num_held_cells(&self, page: u32) -> usize {
+        let num_cells = self.size_cells[0] as usize * self.size_cells[1] as usize;
+        let page = self.pages.get(page as usize);
+        page.map_or(0, |page| num_cells - page.num_free_cells())
     }
 
     /// Share of the free cells of the open pages that no free square of `side_cells` reaches: 0 when

@@ -89,7 +89,7 @@ pub(super) fn arrange(footprints: &[Footprint], limits: &PageLimits) -> Option<A
         .or_else(|| on_pages_of_full_width(footprints, &order, area, limits))
 }
 
-fn from_the_largest(footprints: &[Footprint]) -> Vec<usize> {
+pub(super) fn from_the_largest(footprints: &[Footprint]) -> Vec<usize> {
     let mut order: Vec<usize> = (0..footprints.len()).collect();
     let num_cells: Vec<usize> = footprints.iter().map(|f| f.cells.num_cells()).collect();
     order.sort_by_key(|&k| (std::cmp::Reverse(num_cells[k]), k));

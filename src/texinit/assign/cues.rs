@@ -3,7 +3,7 @@
 use crate::geom::camera::CameraError;
 use crate::keyframe::DecodedFrame;
 use crate::mesh::TriMesh;
-use crate::render::{MeshRuns, VisibilityBuffer};
+use crate::render::{MeshPart, MeshRuns, VisibilityBuffer};
 
 use super::validity::{
     DepthProbe, TriangleView, TriangleVisibility, VertexView, depth_difference_m, view_vertices,
@@ -90,16 +90,31 @@ pub(crate) fn score_frame(
     workspace: &mut FrameWorkspace,
 ) -> Result<FrameCandidates, CameraError> {
     let camera_from_world = pose.world_from_camera.inverse();
+    let in_view = runs.in_view(&frame.color_camera, &camera_from_world);
+    score_part(mesh, &in_view, &in_view, pose, frame, params, workspace)
+}
+
+/// Scores those of the triangles of `part` that the frame may paint; `in_view` is all that may
+/// hide them.
+pub(crate) fn score_part(
+    mesh: &TriMesh,
+    in_view: &MeshPart,
+    part: &MeshPart,
+    pose: &FramePose,
+    frame: &DecodedFrame,
+    params: &AssignParams,
+    workspace: &mut FrameWorkspace,
+) -> Result<FrameCandidates, CameraError> {
+    let camera_from_world = pose.world_from_camera.inverse();
     let FrameWorkspace {
         vertices,
         visibility,
     } = workspace;
-    let part = runs.in_view(&frame.color_camera, &camera_from_world);
-    view_vertices(mesh, &part, &camera_from_world, frame, params, vertices);
+    view_vertices(mesh, part, &camera_from_world, frame, params, vertices);
     if let Some(visibility_params) = &params.visibility {
         visibility.update_part(
             mesh,
-            &part,
+            in_view,
             &frame.color_camera,
             &camera_from_world,
             visibility_params,

@@ -9,6 +9,7 @@ use crate::mesh::TriMesh;
 
 use super::cues::{Candidate, FrameCandidates, TripleColor};
 use super::pairwise::{self, PairwiseParams, Ranked};
+use super::quality::TypicalQuality;
 use super::{AssignParams, AssignReport, Assignment, ColorCue, FailedFrame};
 
 /// How many of the best resolved views the texel density is taken from.
@@ -159,6 +160,12 @@ impl CandidateTable {
         is_there || self.failed.len() < num_failed
     }
 
+    /// What a frame's column says, where it has one.
+    pub(crate) fn column(&self, frame: u32) -> Option<&FrameCandidates> {
+        let column = self.columns.get(self.position(frame))?;
+        (column.frame == frame).then_some(&column.scored)
+    }
+
     /// Bytes that the columns take.
     pub(crate) fn num_bytes(&self) -> usize {
         self.columns
@@ -181,11 +188,21 @@ impl CandidateTable {
         sum_valid_colors(scored, triangles, vertices, sum);
     }
 
-    /// The labels for the frames so far.
-    pub(crate) fn assign(&self, mesh: &TriMesh, params: &AssignParams) -> Assignment {
+    /// Where the frames so far stand.
+    pub(crate) fn typical_quality(&self) -> TypicalQuality {
+        TypicalQuality::of(self.columns.iter().map(|column| &column.quality))
+    }
+
+    /// The labels for the frames so far, whose quality is held against the typical one.
+    pub(crate) fn assign(
+        &self,
+        mesh: &TriMesh,
+        params: &AssignParams,
+        typical: TypicalQuality,
+    ) -> Assignment {
         let (comparison, adjacency) = rayon::join(
-            || self.compare(mesh, params),
-            || pairwise::adjacent_pairs(mesh),
+            || self.compare(mesh, params, typical),
+            || pairwise::adjacent_pairs(mesh.triangles()),
         );
         let Comparison {
             ranked,
@@ -200,10 +217,9 @@ impl CandidateTable {
         let is_partly_hidden = self.partly_hidden(&label);
         let (num_seams_unary, _) = count_seams(&unary, &adjacency);
         let (num_seams, num_inner_edges) = count_seams(&label, &adjacency);
-        let mut is_used = vec![false; self.columns.last().map_or(0, |c| c.frame as usize + 1)];
-        for &frame in label.iter().flatten() {
-            is_used[frame as usize] = true;
-        }
+        let mut used: Vec<u32> = label.iter().copied().flatten().collect();
+        used.sort_unstable();
+        used.dedup();
         let num_labelled = label.iter().flatten().count();
         let report = AssignReport {
             num_frames: self.columns.len(),
@@ -215,7 +231,7 @@ impl CandidateTable {
                 .sum(),
             num_labelled,
             num_unlabelled: num_views.iter().filter(|&&n| n > 0).count() - num_labelled,
-            num_frames_used: is_used.iter().filter(|used| **used).count(),
+            num_frames_used: used.len(),
             num_seams_unary,
             num_seams,
             num_inner_edges,
@@ -231,9 +247,17 @@ impl CandidateTable {
     }
 
     /// Ranks the frames of every triangle.
-    fn compare(&self, mesh: &TriMesh, params: &AssignParams) -> Comparison {
+    fn compare(
+        &self,
+        mesh: &TriMesh,
+        params: &AssignParams,
+        typical: TypicalQuality,
+    ) -> Comparison {
         let reference = self.reference_colors(mesh, params.color_cue);
-        let frame_scores = frame_scores(&self.columns, params);
+        let columns = self.columns.iter();
+        let frame_scores: Vec<f32> = columns
+            .map(|column| typical.score(&column.quality, params))
+            .collect();
         let num_ranked = params
             .pairwise
             .as_ref()
@@ -375,38 +399,6 @@ fn mean_byte(sum: &ColorSum) -> [u8; 3] {
     })
 }
 
-/// Per frame: what its sharpness and exposure take off all its scores, ≤ 0.
-fn frame_scores(columns: &[Column], params: &AssignParams) -> Vec<f32> {
-    let median = |value: fn(&FrameQuality) -> f32| {
-        let mut values: Vec<f32> = columns
-            .iter()
-            .map(|column| value(&column.quality))
-            .collect();
-        values.sort_by(f32::total_cmp);
-        values.get(values.len() / 2).copied().unwrap_or(0.0)
-    };
-    let median_sharpness = median(|quality| quality.sharpness);
-    let median_luma = median(|quality| quality.mean_luma);
-    columns
-        .iter()
-        .map(|column| {
-            let FrameQuality {
-                sharpness,
-                mean_luma,
-                clipped,
-            } = column.quality;
-            let halvings = if median_sharpness > 0.0 && sharpness > 0.0 {
-                (median_sharpness / sharpness).log2().clamp(0.0, 4.0)
-            } else {
-                0.0
-            };
-            let exposure = (mean_luma - median_luma).abs() + clipped;
-            let exposure = if exposure.is_finite() { exposure } else { 0.0 };
-            -params.sharpness_weight * halvings - params.exposure_weight * exposure
-        })
-        .collect()
-}
-
 /// Keeps the largest values, descending.
 fn keep_largest(largest: &mut [f32; NUM_RESOLUTION_VIEWS], mut value: f32) {
     for kept in largest {
@@ -435,7 +427,7 @@ fn texels_per_m(
 }
 
 /// Pairs of adjacent triangles with different labels, and pairs that are both labelled.
-fn count_seams(label: &[Option<u32>], adjacency: &[[u32; 2]]) -> (usize, usize) {
+pub(crate) fn count_seams(label: &[Option<u32>], adjacency: &[[u32; 2]]) -> (usize, usize) {
     let both = adjacency
         .iter()
         .filter_map(|&[i, j]| Some((label[i as usize]?, label[j as usize]?)));

@@ -10,8 +10,6 @@
 
 use rayon::prelude::*;
 
-use crate::mesh::TriMesh;
-
 /// The pairwise cue.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PairwiseParams {
@@ -107,9 +105,9 @@ impl Ranked {
 
 /// Pairs of triangles that share an edge, sorted. Where more than two meet, each is paired with
 /// the next.
-pub(crate) fn adjacent_pairs(mesh: &TriMesh) -> Vec<[u32; 2]> {
-    let mut sides: Vec<([u32; 2], u32)> = Vec::with_capacity(3 * mesh.num_triangles());
-    for (triangle, &[a, b, c]) in (0u32..).zip(mesh.triangles()) {
+pub(crate) fn adjacent_pairs(triangles: &[[u32; 3]]) -> Vec<[u32; 2]> {
+    let mut sides: Vec<([u32; 2], u32)> = Vec::with_capacity(3 * triangles.len());
+    for (triangle, &[a, b, c]) in (0u32..).zip(triangles) {
         for [p, q] in [[a, b], [b, c], [c, a]] {
             if p != q {
                 sides.push(([p.min(q), p.max(q)], triangle));
@@ -367,7 +365,6 @@ impl Neighbours {
 )]
 mod tests {
     use super::*;
-    use nalgebra::Point3;
     use proptest::prelude::*;
 
     fn ranked_of(scores: &[Vec<(u32, f32)>], width: usize) -> Ranked {
@@ -517,11 +514,8 @@ mod tests {
 
     #[test]
     fn pairs_share_an_edge() {
-        let corners = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0], [2.0, 2.0]];
-        let positions = corners.map(|[x, y]| Point3::new(x, y, 0.0)).to_vec();
-        let triangles = vec![[0, 1, 2], [0, 2, 3], [2, 4, 3], [2, 0, 4], [1, 1, 2]];
-        let (mesh, _) = TriMesh::from_soup(positions, triangles).unwrap();
-        let pairs = adjacent_pairs(&mesh);
+        let triangles = [[0, 1, 2], [0, 2, 3], [2, 4, 3], [2, 0, 4], [1, 1, 2]];
+        let pairs = adjacent_pairs(&triangles);
         // Edge 0–2 has three triangles, edge 1–2 two, edges 2–3 and 2–4 two each.
         assert_eq!(pairs, [[0, 1], [0, 4], [1, 2], [1, 3], [2, 3]]);
     }

@@ -78,7 +78,8 @@ impl FrameTable {
 
     /// Which frame paints which triangle, of those in the table now.
     pub fn assignment(&self) -> Assignment {
-        self.columns.assign(&self.mesh, &self.params)
+        let typical = self.columns.typical_quality();
+        self.columns.assign(&self.mesh, &self.params, typical)
     }
 
     /// Bytes that the frames take.

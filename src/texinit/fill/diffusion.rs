@@ -3,13 +3,13 @@
 //!
 //! The weights are positive, so no colour leaves the range of those given (the maximum principle);
 //! on a surface flat and regular it is linear interpolation. Started ring by ring from the given
-//! colours, then over-relaxed in that order and back; enough for a smooth blend, near convergence
-//! for regions of some dozens of rings. Sequential, in a fixed order.
+//! colours, then over-relaxed in that order and back, each connected region by itself until it has
+//! converged; enough for a smooth blend, near convergence for regions of some dozens of rings.
+//! Sequential, in a fixed order that goes by position: a region comes out alike whatever else there is.
 
 use std::cmp::Ordering;
 
 use super::FillParams;
-use crate::mesh::weld::equal_representatives;
 use crate::mesh::{TriMesh, TriangleId};
 
 /// Change of a linear colour in one sweep below which sweeping stops: under a tenth of a byte.
@@ -30,29 +30,35 @@ pub(super) struct SurfaceVertices {
 }
 
 impl SurfaceVertices {
-    pub(super) fn of(mesh: &TriMesh, is_wanted: impl Fn(usize) -> bool) -> Self {
-        let representative = equal_representatives(mesh.positions_m());
-        let mut vertex_of = vec![ABSENT; mesh.num_vertices()];
-        let mut num_vertices = 0u32;
+    /// Those of the wanted triangles; `representative` has for each vertex of the mesh the one that
+    /// stands for its position. They are numbered by position, so that neither the order of the mesh
+    /// nor what else is wanted shows in the result.
+    pub(super) fn of(mesh: &TriMesh, representative: &[u32], is_wanted: &[bool]) -> Self {
         let mut triangles = Vec::new();
-        for (triangle, corners) in mesh.triangle_ids().zip(mesh.triangles()) {
-            if !is_wanted(triangle.index()) {
-                continue;
-            }
+        let mut members = Vec::new();
+        let wanted = mesh.triangle_ids().filter(|t| is_wanted[t.index()]);
+        for triangle in wanted {
             triangles.push(triangle);
-            for &corner in corners {
-                let slot = &mut vertex_of[representative[corner as usize] as usize];
-                if *slot == ABSENT {
-                    *slot = num_vertices;
-                    num_vertices += 1;
-                }
-            }
+            let corners = mesh.triangles()[triangle.index()];
+            members.extend(corners.map(|corner| representative[corner as usize]));
+        }
+        members.sort_unstable();
+        members.dedup();
+        members.sort_by(|&a, &b| {
+            let [a, b] = [a, b].map(|vertex| mesh.positions_m()[vertex as usize]);
+            // Adding zero turns -0.0 into 0.0.
+            let axes = (0..3).map(|axis| (a[axis] + 0.0).total_cmp(&(b[axis] + 0.0)));
+            axes.fold(Ordering::Equal, Ordering::then)
+        });
+        let mut vertex_of = vec![ABSENT; mesh.num_vertices()];
+        for (number, &vertex) in (0_u32..).zip(&members) {
+            vertex_of[vertex as usize] = number;
         }
         let vertex_at = |corner: u32| vertex_of[representative[corner as usize] as usize];
         Self {
             of_corner: mesh.triangles().iter().map(|c| c.map(vertex_at)).collect(),
             triangles,
-            num_vertices: num_vertices as usize,
+            num_vertices: members.len(),
         }
     }
 
@@ -179,26 +185,65 @@ fn spread(graph: &Graph, linear: &mut [Option<[f64; 3]>]) -> Vec<usize> {
     order
 }
 
-/// Successive over-relaxation, forth and back in turn; returns the number of sweeps.
+/// Successive over-relaxation, forth and back in turn, of each region of connected free vertices
+/// until it has converged; returns the largest number of sweeps.
 fn relax(
     graph: &Graph,
     order: &[usize],
     linear: &mut [Option<[f64; 3]>],
     params: &FillParams,
 ) -> usize {
-    let mut system = System::new(graph, order, linear);
-    let mut num_sweeps = 0;
-    while num_sweeps < params.max_sweeps {
-        let change = system.sweep(num_sweeps % 2 == 1, params.over_relaxation);
-        num_sweeps += 1;
-        if change < CONVERGED {
-            break;
+    let mut most_sweeps = 0;
+    let mut place_of = vec![ABSENT; linear.len()];
+    for region in regions(graph, order, linear.len()) {
+        let mut system = System::new(graph, &region, linear, &mut place_of);
+        let mut num_sweeps = 0;
+        while num_sweeps < params.max_sweeps {
+            let change = system.sweep(num_sweeps % 2 == 1, params.over_relaxation);
+            num_sweeps += 1;
+            if change < CONVERGED {
+                break;
+            }
         }
+        for (&vertex, value) in region.iter().zip(&system.values) {
+            linear[vertex] = Some(*value);
+        }
+        most_sweeps = most_sweeps.max(num_sweeps);
     }
-    for (&vertex, value) in order.iter().zip(&system.values) {
-        linear[vertex] = Some(*value);
+    most_sweeps
+}
+
+/// The free vertices that are connected by edges between them, each region in the given order.
+fn regions(graph: &Graph, order: &[usize], num_vertices: usize) -> Vec<Vec<usize>> {
+    const GIVEN: usize = usize::MAX;
+    const UNREACHED: usize = usize::MAX - 1;
+    let mut region_of = vec![GIVEN; num_vertices];
+    for &vertex in order {
+        region_of[vertex] = UNREACHED;
     }
-    num_sweeps
+    let mut num_regions = 0;
+    for &seed in order {
+        if region_of[seed] != UNREACHED {
+            continue;
+        }
+        region_of[seed] = num_regions;
+        let mut front = vec![seed];
+        while let Some(vertex) = front.pop() {
+            for &(neighbour, _) in graph.of(vertex) {
+                let region = &mut region_of[neighbour as usize];
+                if *region == UNREACHED {
+                    *region = num_regions;
+                    front.push(neighbour as usize);
+                }
+            }
+        }
+        num_regions += 1;
+    }
+    let mut regions = vec![Vec::new(); num_regions];
+    for &vertex in order {
+        regions[region_of[vertex]].push(vertex);
+    }
+    regions
 }
 
 /// The free vertices in their order, then the given ones, close together for sweeping.
@@ -212,14 +257,21 @@ struct System {
 }
 
 impl System {
-    fn new(graph: &Graph, order: &[usize], linear: &[Option<[f64; 3]>]) -> Self {
-        let mut place_of = vec![ABSENT; linear.len()];
+    /// `place_of` is [`ABSENT`] for all vertices, and is so again afterwards.
+    fn new(
+        graph: &Graph,
+        order: &[usize],
+        linear: &[Option<[f64; 3]>],
+        place_of: &mut [u32],
+    ) -> Self {
         let mut values = Vec::with_capacity(order.len());
+        let mut placed = Vec::with_capacity(order.len());
         let mut place = |vertex: usize| {
             let slot = &mut place_of[vertex];
             if *slot == ABSENT {
                 *slot = u32::try_from(values.len()).unwrap_or(ABSENT);
                 values.push(linear[vertex].unwrap_or_default());
+                placed.push(vertex);
             }
             *slot
         };
@@ -234,6 +286,9 @@ impl System {
             let share = |&(to, weight): &(u32, f64)| (place(to as usize), weight / total);
             shares.extend(neighbours.iter().map(share));
             start.push(shares.len());
+        }
+        for vertex in placed {
+            place_of[vertex] = ABSENT;
         }
         let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
         for value in &values {

@@ -28,9 +28,12 @@ const CLEAR_WEIGHT: u32 = 8;
 /// Weights that a sum of 32 bits has room for; what comes after leaves the mean as it is.
 const MAX_WEIGHT: u32 = 65_537;
 
+/// As many frames always have room, so that the order in which they are added leaves no trace.
+pub(crate) const MAX_FRAMES_IN_ANY_ORDER: usize = (MAX_WEIGHT / CLEAR_WEIGHT) as usize;
+
 /// Sum over frames.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-struct TexelSum {
+pub(crate) struct TexelSum {
     sum: [u32; 3],
     weight: u32,
 }
@@ -74,7 +77,7 @@ type MeanTask<'a> = (
 );
 
 /// The sums of all texels of some triangles.
-pub(super) struct MeanTexels {
+pub(crate) struct MeanTexels {
     triangles: Vec<TriangleId>,
     /// Per task's triangles: the box around them.
     bounds: Vec<BoundingBox>,
@@ -84,29 +87,55 @@ pub(super) struct MeanTexels {
 }
 
 impl MeanTexels {
-    pub(super) fn new(
+    pub(crate) fn new(
         mesh: &TriMesh,
         layout: &AtlasLayout,
         triangles: impl Iterator<Item = TriangleId>,
     ) -> Self {
-        let triangles: Vec<TriangleId> = triangles.collect();
-        let mut first = vec![0];
-        let mut num_texels = 0;
-        for triangle in &triangles {
+        let triangles = triangles.map(|triangle| {
             let corners = &layout.corners_texel[triangle.index()];
+            let mut num_texels = 0;
             for_each_texel_within(corners, layout.page_size_texel, |_, _, _| num_texels += 1);
-            first.push(num_texels);
+            (triangle, vec![TexelSum::default(); num_texels])
+        });
+        Self::with_sums(mesh, triangles)
+    }
+
+    /// Goes on from the sums of each triangle, one per texel that it owns.
+    pub(crate) fn with_sums(
+        mesh: &TriMesh,
+        triangles: impl Iterator<Item = (TriangleId, Vec<TexelSum>)>,
+    ) -> Self {
+        let mut means = Self {
+            triangles: vec![],
+            bounds: vec![],
+            first: vec![0],
+            sums: vec![],
+        };
+        for (triangle, mut sums) in triangles {
+            means.triangles.push(triangle);
+            means.sums.append(&mut sums);
+            means.first.push(means.sums.len());
         }
-        let bounds = triangles
-            .chunks(TASK_SIZE)
+        let chunks = means.triangles.chunks(TASK_SIZE);
+        means.bounds = chunks
             .map(|chunk| BoundingBox::of(mesh, chunk.iter().copied()))
             .collect();
-        Self {
+        means
+    }
+
+    /// The sums of each triangle.
+    pub(crate) fn into_sums(self) -> impl Iterator<Item = (TriangleId, Vec<TexelSum>)> {
+        let Self {
             triangles,
-            bounds,
             first,
-            sums: vec![TexelSum::default(); num_texels],
-        }
+            sums,
+            ..
+        } = self;
+        triangles
+            .into_iter()
+            .enumerate()
+            .map(move |(index, triangle)| (triangle, sums[first[index]..first[index + 1]].to_vec()))
     }
 
     pub(super) fn is_empty(&self) -> bool {
@@ -123,7 +152,7 @@ impl MeanTexels {
         &mut self,
         mesh: &TriMesh,
         layout: &AtlasLayout,
-        looks: &[FrameLook<'_>],
+        looks: &[&FrameLook<'_>],
         params: &TransferParams,
     ) {
         let frustums: Vec<Frustum> = looks

@@ -1,0 +1,319 @@
+#![expect(
+    clippy::cast_possible_truncation,
+    reason = "the numbers of a test are small"
+)]
+
+use std::collections::BTreeMap;
+
+use proptest::prelude::*;
+
+use super::*;
+
+fn mesh(positions: &[[f64; 3]], triangles: &[[u32; 3]]) -> TriMesh {
+    let positions = positions.iter().map(|&p| Point3::from(p)).collect();
+    TriMesh::from_soup(positions, triangles.to_vec()).unwrap().0
+}
+
+/// A sheet of 2·n² triangles, vertices 0.1 m apart, moved by `offset`.
+fn sheet(n: u32, offset: [f64; 3]) -> TriMesh {
+    let side = n + 1;
+    let position = |k: u32| {
+        let (x, y) = (f64::from(k % side), f64::from(k / side));
+        [0.1 * x + offset[0], 0.1 * y + offset[1], offset[2]]
+    };
+    let positions: Vec<[f64; 3]> = (0..side * side).map(position).collect();
+    let quads = (0..n * n).map(|q| q / n * side + q % n);
+    let triangles: Vec<[u32; 3]> = quads
+        .flat_map(|a| [[a, a + 1, a + side], [a + 1, a + side + 1, a + side]])
+        .collect();
+    mesh(&positions, &triangles)
+}
+
+fn joined(a: &TriMesh, b: &TriMesh) -> TriMesh {
+    let first = a.num_vertices() as u32;
+    let positions = [a.positions_m(), b.positions_m()].concat();
+    let others = b.triangles().iter().map(|t| t.map(|v| v + first));
+    let triangles = a.triangles().iter().copied().chain(others).collect();
+    TriMesh::from_soup(positions, triangles).unwrap().0
+}
+
+/// The same surface with vertices and triangles in another order and other first corners.
+fn shuffled(mesh: &TriMesh, seed: u64) -> TriMesh {
+    let key = |k: usize| (k as u64 ^ seed).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+    let mut vertex_order: Vec<usize> = (0..mesh.num_vertices()).collect();
+    vertex_order.sort_by_key(|&k| key(k));
+    let mut new_from_old = vec![0; mesh.num_vertices()];
+    for (new, &old) in vertex_order.iter().enumerate() {
+        new_from_old[old] = new as u32;
+    }
+    let positions = vertex_order
+        .iter()
+        .map(|&k| mesh.positions_m()[k])
+        .collect();
+    let mut triangle_order: Vec<usize> = (0..mesh.num_triangles()).collect();
+    triangle_order.sort_by_key(|&k| key(k + 77));
+    let triangles = triangle_order.iter().map(|&k| {
+        let mut corners = mesh.triangles()[k].map(|v| new_from_old[v as usize]);
+        corners.rotate_left(key(k) as usize % 3);
+        corners
+    });
+    TriMesh::from_soup(positions, triangles.collect())
+        .unwrap()
+        .0
+}
+
+/// Corners in steps of the grid, turned to the smallest first.
+fn geometry(mesh: &TriMesh, triangle: TriangleId) -> [GridPoint; 3] {
+    let corners = mesh
+        .corners_m(triangle)
+        .map(|p| grid_point(&p, DiffParams::default().quantum_m).unwrap());
+    let [a, b, c] = corners;
+    [[a, b, c], [b, c, a], [c, a, b]].into_iter().min().unwrap()
+}
+
+/// By geometry: how many triangles there are of each class (0 kept, 1 moved, 2 changed, 3 new).
+fn classes(mesh: &TriMesh, diff: &MeshDiff) -> BTreeMap<([GridPoint; 3], u8), usize> {
+    let mut classes = BTreeMap::new();
+    for (triangle, origin) in mesh.triangle_ids().zip(&diff.origins) {
+        let class = match origin {
+            Origin::Kept(_) => 0,
+            Origin::Moved(_) => 1,
+            Origin::Changed => 2,
+            Origin::New => 3,
+        };
+        *classes
+            .entry((geometry(mesh, triangle), class))
+            .or_default() += 1;
+    }
+    classes
+}
+
+/// Each origin names an old triangle once, gone are the others, and corners fit.
+fn check(old: &TriMesh, new: &TriMesh, diff: &MeshDiff, params: &DiffParams) {
+    let mut is_named = vec![false; old.num_triangles()];
+    let reach_m = params.max_move_m + 2.0 * params.quantum_m;
+    for (triangle, origin) in new.triangle_ids().zip(&diff.origins) {
+        let (from, reach_m) = match origin {
+            Origin::Kept(from) => (from, 2.0 * params.quantum_m),
+            Origin::Moved(from) => (from, reach_m),
+            Origin::Changed | Origin::New => continue,
+        };
+        assert!(!std::mem::replace(
+            &mut is_named[from.triangle.index()],
+            true
+        ));
+        let after = new.corners_m(triangle);
+        for (k, before) in old.corners_m(from.triangle).iter().enumerate() {
+            let moved = (after[(k + from.first_corner as usize) % 3] - before).norm();
+            assert!(moved <= reach_m, "{moved} m");
+        }
+    }
+    let unnamed = old.triangle_ids().filter(|t| !is_named[t.index()]);
+    assert_eq!(unnamed.collect::<Vec<_>>(), diff.gone);
+}
+
+fn counts_of(old: &TriMesh, new: &TriMesh) -> DiffCounts {
+    let params = DiffParams::default();
+    let found = diff(old, new, &params).unwrap();
+    check(old, new, &found, &params);
+    found.counts()
+}
+
+#[test]
+fn a_sheet_that_stays_is_kept_in_any_order() {
+    let old = sheet(6, [0.0; 3]);
+    for seed in 0..5 {
+        let counts = counts_of(&old, &shuffled(&old, seed));
+        let all_kept = DiffCounts {
+            num_kept: 72,
+            ..DiffCounts::default()
+        };
+        assert_eq!(counts, all_kept);
+    }
+}
+
+#[test]
+fn a_sheet_that_grows_keeps_what_it_had() {
+    let old = sheet(4, [0.0; 3]);
+    let far = sheet(2, [9.0, 0.0, 0.0]);
+    let counts = counts_of(&old, &joined(&far, &old));
+    assert_eq!((counts.num_kept, counts.num_new), (32, 8));
+    let counts = counts_of(&joined(&old, &far), &old);
+    assert_eq!((counts.num_kept, counts.num_gone), (32, 8));
+    assert_eq!(counts.num_new + counts.num_changed + counts.num_moved, 0);
+}
+
+#[test]
+fn a_sheet_that_is_refined_has_moved_and_one_that_jumps_has_not() {
+    let old = sheet(5, [0.0; 3]);
+    let near = counts_of(&old, &shuffled(&sheet(5, [0.004, -0.003, 0.006]), 3));
+    assert_eq!((near.num_moved, near.num_gone), (50, 0));
+    let far = counts_of(&old, &sheet(5, [0.0, 0.0, 0.02]));
+    assert_eq!((far.num_moved, far.num_gone, far.num_new), (0, 50, 50));
+}
+
+#[test]
+fn a_moved_vertex_moves_its_triangles_alone() {
+    let old = sheet(4, [0.0; 3]);
+    let mut positions = old.positions_m().to_vec();
+    positions[12].z += 0.005;
+    let new = TriMesh::from_soup(positions, old.triangles().to_vec())
+        .unwrap()
+        .0;
+    let counts = counts_of(&old, &new);
+    assert_eq!((counts.num_moved, counts.num_kept), (6, 26));
+}
+
+#[test]
+fn a_flipped_edge_is_a_change() {
+    let old = sheet(3, [0.0; 3]);
+    let mut triangles = old.triangles().to_vec();
+    let ([a, b, c], [_, d, _]) = (triangles[8], triangles[9]);
+    (triangles[8], triangles[9]) = ([a, b, d], [a, d, c]);
+    let new = TriMesh::from_soup(old.positions_m().to_vec(), triangles)
+        .unwrap()
+        .0;
+    let counts = counts_of(&old, &new);
+    assert_eq!(
+        (counts.num_changed, counts.num_gone, counts.num_kept),
+        (2, 2, 16)
+    );
+    let found = diff(&old, &new, &DiffParams::default()).unwrap();
+    let num_touched = found.is_touched.iter().filter(|t| **t).count();
+    assert_eq!(num_touched, 4);
+}
+
+#[test]
+fn a_turned_over_triangle_is_another() {
+    let old = mesh(&[[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], &[[0, 1, 2]]);
+    let new = mesh(&[[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], &[[0, 2, 1]]);
+    let counts = counts_of(&old, &new);
+    assert_eq!((counts.num_changed, counts.num_gone), (1, 1));
+}
+
+#[test]
+fn copies_and_degenerate_triangles_are_counted() {
+    let points = [[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0; 3]];
+    let old = mesh(
+        &points,
+        &[[0, 1, 2], [1, 2, 3], [2, 0, 1], [0, 3, 1], [0, 0, 3]],
+    );
+    let new = mesh(&points, &[[1, 2, 0], [3, 1, 2], [3, 1, 0], [0, 0, 0]]);
+    let counts = counts_of(&old, &new);
+    // Two of the three copies, the triangle of two places and that of one.
+    assert_eq!((counts.num_kept, counts.num_gone), (4, 1));
+    let counts = counts_of(&new, &old);
+    assert_eq!(
+        (counts.num_kept, counts.num_changed + counts.num_new),
+        (4, 1)
+    );
+}
+
+#[test]
+fn empty_meshes_and_bad_parameters() {
+    let empty = TriMesh::default();
+    let some = sheet(1, [0.0; 3]);
+    assert_eq!(counts_of(&empty, &empty), DiffCounts::default());
+    assert_eq!(counts_of(&empty, &some).num_new, 2);
+    assert_eq!(counts_of(&some, &empty).num_gone, 2);
+    for (quantum_m, max_move_m) in [(0.0, 0.1), (f64::NAN, 0.1), (1e-4, -1.0), (1e-4, f64::NAN)] {
+        let params = DiffParams {
+            quantum_m,
+            max_move_m,
+        };
+        let refused = diff(&some, &some, &params);
+        assert!(matches!(refused, Err(DiffError::Params { .. })));
+    }
+    let far = mesh(&[[1e13, 0.0, 0.0]; 3], &[[0, 1, 2]]);
+    let refused = diff(&some, &far, &DiffParams::default());
+    assert!(matches!(refused, Err(DiffError::OffGrid { .. })));
+}
+
+#[test]
+fn on_the_grid_equal_vertices_are_one() {
+    let soup = mesh(
+        &[
+            [0.0; 3],
+            [1.0, 0.0, 0.0],
+            [5.0; 3],
+            [1.0, 1e-9, 0.0],
+            [0.0, 1.0, 0.0],
+            [1.0; 3],
+        ],
+        &[[0, 1, 4], [3, 5, 4]],
+    );
+    let welded = on_grid(&soup, 1.0 / 1024.0).unwrap();
+    assert_eq!(welded.triangles(), [[0, 1, 2], [1, 3, 2]]);
+    assert_eq!(on_grid(&welded, 1.0 / 1024.0).unwrap(), welded);
+}
+
+/// Triangles of a handful of vertices, some of which are close to others.
+fn soups() -> impl Strategy<Value = (TriMesh, TriMesh)> {
+    let point = [0_i32..4, 0_i32..4, 0_i32..2];
+    let nudge = prop_oneof![4 => Just(0_i32), 1 => 1_i32..12];
+    let triangle = [0_u32..14, 0_u32..14, 0_u32..14];
+    let one = (
+        proptest::collection::vec((point, nudge), 14),
+        proptest::collection::vec(triangle, 0..30),
+        proptest::collection::vec(prop_oneof![4 => Just(0_i32), 1 => 1_i32..12], 14),
+        proptest::collection::vec((0_usize..30, [0_u32..14, 0_u32..14, 0_u32..14]), 0..6),
+    );
+    one.prop_map(|(points, triangles, nudges, edits)| {
+        let at = |([x, y, z], nudge): &([i32; 3], i32), more: i32| {
+            let [x, y, z] = [x, y, z].map(|c| 0.05 * f64::from(*c));
+            [x + 0.001 * f64::from(nudge + more), y, z]
+        };
+        let old: Vec<_> = points.iter().map(|p| at(p, 0)).collect();
+        let new: Vec<_> = points.iter().zip(&nudges).map(|(p, &n)| at(p, n)).collect();
+        let mut edited = triangles.clone();
+        for (index, corners) in edits {
+            match edited.get_mut(index) {
+                Some(triangle) => *triangle = corners,
+                None => edited.push(corners),
+            }
+        }
+        (mesh(&old, &triangles), mesh(&new, &edited))
+    })
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(256))]
+    #[test]
+    fn order_does_not_matter_and_what_is_equal_is_kept(
+        (old, new) in soups(),
+        seeds in [any::<u64>(), any::<u64>()],
+    ) {
+        let params = DiffParams::default();
+        let found = diff(&old, &new, &params).unwrap();
+        check(&old, &new, &found, &params);
+        let (old_too, new_too) = (shuffled(&old, seeds[0]), shuffled(&new, seeds[1]));
+        let again = diff(&old_too, &new_too, &params).unwrap();
+        check(&old_too, &new_too, &again, &params);
+        prop_assert_eq!(classes(&new, &found), classes(&new_too, &again));
+        // Kept are as many of each geometry as both meshes have.
+        let mut num_of: BTreeMap<_, [usize; 2]> = BTreeMap::new();
+        for (side, mesh) in [&old, &new].into_iter().enumerate() {
+            for triangle in mesh.triangle_ids() {
+                num_of.entry(geometry(mesh, triangle)).or_default()[side] += 1;
+            }
+        }
+        let num_common: usize = num_of.values().map(|[a, b]| a.min(b)).sum();
+        prop_assert_eq!(found.counts().num_kept, num_common);
+    }
+}
+
+/// `cargo test --release --lib mesh::diff -- --ignored --nocapture`.
+#[test]
+#[ignore = "a measurement"]
+#[expect(clippy::print_stdout, reason = "a measurement is there to be read")]
+fn two_million_triangles() {
+    let old = sheet(1000, [0.0; 3]);
+    let new = joined(&sheet(20, [0.0, 0.0, 1.0]), &old);
+    let start = std::time::Instant::now();
+    let found = diff(&old, &new, &DiffParams::default()).unwrap();
+    println!(
+        "{:?} in {:.3} s",
+        found.counts(),
+        start.elapsed().as_secs_f64()
+    );
+}

@@ -1,0 +1,354 @@
+//! TexInit kept up while a scan changes: the cost follows the change.
+//!
+//! [`StreamInit::update`] is told what there is now, mesh and keyframes, finds what changed since
+//! the last time, and redoes what depends on it:
+//!
+//! 1. [`crate::mesh::diff`]: triangles kept, moved, changed, new and gone. A chart that lost one is
+//!    taken apart, a small one beside changed surface too; what has no chart then is flattened, separated,
+//!    absorbed and packed among itself. Other charts keep their place in the atlas, and their triangles
+//!    and vertices what is known of them; where vertices moved they are scored and painted anew.
+//! 2. Scores: a new keyframe is scored against the charts that it may see, a new or moved chart
+//!    against the keyframes that may see it, and where changed surface may hide or uncover others in a
+//!    keyframe, the charts there are scored in it anew. A keyframe whose pose was corrected goes and
+//!    comes.
+//! 3. Labels of charts with new scores, each by itself ([`super::Coupling::Chart`]).
+//! 4. Texels of triangles whose frame, place or visibility changed. Means over frames are kept as exact
+//!    sums, to which a new keyframe adds.
+//! 5. Unseen regions ([`super::fill`]) beside changed texels, and the gutters of charts with any.
+//!
+//! **Equality**: labels and texels are, to the last byte, what [`super::repaint`] makes of
+//! [`StreamInit::mesh`], [`StreamInit::layout`] and the same keyframes with [`super::Coupling::Chart`];
+//! the way there leaves its trace in the layout alone.
+//!
+//! The mesh is that of the caller with its vertices on a fine grid ([`DiffParams::quantum_m`]) and its
+//! triangles in the order of the charts. The density is fixed when the first triangle is seen, in
+//! steps of a quarter octave; it falls only when the scan outgrows the budget of texels: then all
+//! charts are made anew.
+//!
+//! Memory, [`StreamInit::num_bytes`]: 8 bytes per texel of the pages, 16 per triangle and keyframe that
+//! may paint it, 16 per texel that shows a mean, and some 300 per triangle.
+
+mod charts;
+mod cover;
+mod keyframes;
+mod placing;
+mod repaint;
+mod scores;
+mod surface;
+
+use std::sync::Arc;
+
+use crate::atlas::{AtlasLayout, AtlasTexture, ChartPlacer, PackError, TexelRect};
+use crate::keyframe::Keyframe;
+use crate::mesh::{DiffCounts, DiffError, DiffParams, TriMesh};
+use crate::render::MeshRuns;
+
+use super::assign::quality::TypicalQuality;
+use super::assign::{AssignError, Assignment, ColorCue, FailedFrame, chart_table};
+use super::density::SizeRule;
+use super::flatten::FlattenError;
+use super::transfer::{MAX_FRAMES_IN_ANY_ORDER, MeanForm};
+use super::{Coupling, Decode, Observer, Stage, TexInitParams};
+use charts::StreamChart;
+use keyframes::KnownFrames;
+
+pub use charts::StreamChartId;
+
+/// How the state is kept up.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StreamParams {
+    /// When triangles are the same.
+    pub diff: DiffParams,
+    /// A chart whose vertices may have moved this far since it was flattened is made anew, metres.
+    pub max_drift_m: f64,
+    /// Charts of fewer triangles beside changed surface are made anew with it.
+    pub remake_below_triangles: usize,
+    /// Side of the pages, at most that of [`crate::atlas::PackParams`].
+    pub page_size_texel: u32,
+    /// Pages are compacted while charts hold less than this share of them, [0, 1].
+    pub min_used_share: f64,
+}
+
+impl Default for StreamParams {
+    fn default() -> Self {
+        Self {
+            diff: DiffParams::default(),
+            max_drift_m: 0.05,
+            remake_below_triangles: 200,
+            page_size_texel: 2048,
+            min_used_share: 0.5,
+        }
+    }
+}
+
+/// Why the state was not kept up. It is empty afterwards; the next update makes all anew.
+#[derive(Debug, thiserror::Error)]
+pub enum StreamError {
+    /// A setting that only the whole scan at once can have.
+    #[error("{0} cannot be kept up while a scan changes")]
+    Unsupported(&'static str),
+    /// The mesh could not be compared.
+    #[error(transparent)]
+    Diff(#[from] DiffError),
+    /// Flattening refused.
+    #[error(transparent)]
+    Flatten(#[from] FlattenError),
+    /// Assignment refused.
+    #[error(transparent)]
+    Assign(#[from] AssignError),
+    /// Packing refused.
+    #[error(transparent)]
+    Pack(#[from] PackError),
+    /// Keyframes are not in the order of their numbers.
+    #[error("keyframe {0} does not come after the one before it")]
+    FrameOrder(u32),
+    /// More keyframes than sums have room for.
+    #[error("{0} keyframes are more than {MAX_FRAMES_IN_ANY_ORDER}")]
+    TooManyFrames(usize),
+}
+
+/// What an update changed.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct StreamUpdate {
+    /// Triangles of the mesh.
+    pub mesh: DiffCounts,
+    /// Keyframes that came.
+    pub num_frames_added: usize,
+    /// Keyframes that went.
+    pub num_frames_removed: usize,
+    /// Keyframes whose pose was corrected.
+    pub num_frames_moved: usize,
+    /// Charts that were not there before, ascending.
+    pub new_charts: Vec<StreamChartId>,
+    /// Charts with other texels, vertices or place than before, ascending.
+    pub changed_charts: Vec<StreamChartId>,
+    /// Charts that are no more, ascending.
+    pub gone_charts: Vec<StreamChartId>,
+    /// Where texels changed: page and rectangle, by chart. What gone charts left is blank and not among
+    /// them.
+    pub dirty_rects: Vec<(u32, TexelRect)>,
+    /// Whether a page was emptied and closed, or all charts were made anew at a lower density.
+    pub has_new_pages: bool,
+    /// (chart, keyframe) pairs that were scored.
+    pub num_pairs_scored: usize,
+    /// Triangles whose texels were painted.
+    pub num_triangles_painted: usize,
+}
+
+/// A textured scan that is kept up.
+#[derive(Debug)]
+pub struct StreamInit {
+    params: TexInitParams,
+    stream: StreamParams,
+    /// The mesh as it was given, to see at once that it is the same.
+    given: Option<Arc<TriMesh>>,
+    mesh: TriMesh,
+    runs: MeshRuns,
+    layout: AtlasLayout,
+    texture: AtlasTexture,
+    /// Ascending by id, in the order of the layout.
+    charts: Vec<StreamChart>,
+    next_chart: u64,
+    /// None until there are charts.
+    placer: Option<ChartPlacer>,
+    /// Whether the density comes from the images and stays.
+    has_density: bool,
+    frames: KnownFrames,
+    typical: TypicalQuality,
+}
+
+impl StreamInit {
+    /// An empty scan.
+    ///
+    /// # Errors
+    /// [`StreamError`] for settings that cannot be kept up, or are out of range.
+    pub fn new(params: &TexInitParams, stream: &StreamParams) -> Result<Self, StreamError> {
+        if params.size_rule != SizeRule::Density {
+            return Err(StreamError::Unsupported("the paper's plates"));
+        }
+        if params.transfer.mean_form != MeanForm::Seeing {
+            return Err(StreamError::Unsupported("a mean over all frames"));
+        }
+        if params.assign.color_cue == ColorCue::ValidAtVertex {
+            return Err(AssignError::CoupledAtVertices.into());
+        }
+        params.assign.check()?;
+        let mesh = TriMesh::default();
+        Ok(Self {
+            runs: MeshRuns::new(&mesh),
+            layout: charts::layout_of(&[], None, 0),
+            given: None,
+            mesh,
+            texture: AtlasTexture::default(),
+            charts: Vec::new(),
+            next_chart: 0,
+            placer: None,
+            has_density: false,
+            frames: KnownFrames::default(),
+            typical: TypicalQuality::default(),
+            params: TexInitParams {
+                coupling: Coupling::Chart,
+                ..params.clone()
+            },
+            stream: stream.clone(),
+        })
+    }
+
+    /// Brings the state up to a mesh and keyframes, ascending by id. The images of a keyframe
+    /// never change; its pose may.
+    ///
+    /// # Errors
+    /// [`StreamError`]. A frame that does not decode is no error: it paints nothing
+    /// ([`Self::failed_frames`]).
+    pub fn update(
+        &mut self,
+        mesh: &Arc<TriMesh>,
+        frames: &[Arc<Keyframe>],
+        decode: &Decode<'_>,
+        observer: &dyn Observer,
+    ) -> Result<StreamUpdate, StreamError> {
+        let updated = self.try_update(mesh, frames, decode, observer);
+        if updated.is_err() {
+            self.clear();
+        }
+        updated
+    }
+
+    fn try_update(
+        &mut self,
+        mesh: &Arc<TriMesh>,
+        frames: &[Arc<Keyframe>],
+        decode: &Decode<'_>,
+        observer: &dyn Observer,
+    ) -> Result<StreamUpdate, StreamError> {
+        check_frames(frames)?;
+        let mut update = StreamUpdate::default();
+
+        observer.begin(Stage::Flatten, 0);
+        let mut change = self.take_mesh(mesh, &mut update)?;
+        let loose = self.flatten_loose(&change)?;
+
+        observer.begin(Stage::Pack, 0);
+        self.place_loose(loose, &mut change, frames, decode, &mut update)?;
+        self.compact(&mut change, &mut update);
+        self.lay_out(&mut change);
+
+        observer.begin(Stage::Assign, frames.len());
+        let turnover = self.take_frames(frames, &mut change, &mut update);
+        self.score(
+            frames,
+            &turnover,
+            &mut change,
+            decode,
+            observer,
+            &mut update,
+        );
+        let relabelled = self.label(&change);
+
+        observer.begin(Stage::Transfer, frames.len());
+        let mut repainted = self.repaint(
+            frames,
+            &turnover,
+            &change,
+            &relabelled,
+            decode,
+            observer,
+            &mut update,
+        );
+
+        observer.begin(Stage::Fill, 0);
+        self.fill_beside(&change, &mut repainted);
+        self.dilate(&repainted);
+        self.tell(&change, &repainted.is_chart, &mut update);
+        Ok(update)
+    }
+
+    /// Forgets all.
+    fn clear(&mut self) {
+        self.given = None;
+        self.mesh = TriMesh::default();
+        self.runs = MeshRuns::new(&self.mesh);
+        self.charts.clear();
+        self.layout = charts::layout_of(&[], None, 0);
+        self.texture = AtlasTexture::default();
+        self.placer = None;
+        self.has_density = false;
+        self.frames = KnownFrames::default();
+        self.typical = TypicalQuality::default();
+    }
+
+    /// The mesh, in the order of the charts.
+    pub fn mesh(&self) -> &TriMesh {
+        &self.mesh
+    }
+
+    /// Where its triangles lie.
+    pub fn layout(&self) -> &AtlasLayout {
+        &self.layout
+    }
+
+    /// The pages.
+    pub fn texture(&self) -> &AtlasTexture {
+        &self.texture
+    }
+
+    /// The charts of the layout, by their lasting names.
+    pub fn chart_ids(&self) -> impl Iterator<Item = StreamChartId> {
+        self.charts.iter().map(|chart| chart.id)
+    }
+
+    /// Which keyframe paints each triangle; labels are the numbers of keyframes
+    /// ([`crate::keyframe::KeyframeId`]), not indices.
+    pub fn assignment(&self) -> Assignment {
+        let charts = self.charts.iter();
+        let parts = charts.map(|chart| (&*chart.piece.chart.triangles, &chart.assignment));
+        let mut all = chart_table::joined(&self.mesh, parts, self.failed_frames());
+        all.report.num_frames = self.frames.num_usable();
+        all
+    }
+
+    /// Keyframes that could not be used, by number.
+    pub fn failed_frames(&self) -> Vec<FailedFrame> {
+        self.frames.failed()
+    }
+
+    /// Share of the pages that charts hold; 1 without a page.
+    pub fn used_share(&self) -> f64 {
+        self.placer.as_ref().map_or(1.0, ChartPlacer::used_share)
+    }
+
+    /// Bytes that pages, scores and sums take.
+    pub fn num_bytes(&self) -> usize {
+        let pages = self.texture.pages.iter().map(|page| 8 * page.srgb.len());
+        let charts = self.charts.iter().map(StreamChart::num_bytes);
+        pages.sum::<usize>() + charts.sum::<usize>()
+    }
+
+    /// Names what the update changed, for those who publish it.
+    fn tell(&self, change: &surface::SurfaceChange, repainted: &[bool], update: &mut StreamUpdate) {
+        for ((chart, dirt), is_repainted) in self.charts.iter().zip(&change.dirt).zip(repainted) {
+            if dirt.is_fresh {
+                update.new_charts.push(chart.id);
+            } else if *is_repainted || dirt.is_moved() || dirt.is_relaid || dirt.is_renumbered {
+                update.changed_charts.push(chart.id);
+            }
+            if *is_repainted || dirt.is_renumbered {
+                let placed = &chart.piece.chart;
+                update.dirty_rects.push((placed.page, placed.rect));
+            }
+        }
+    }
+}
+
+fn check_frames(frames: &[Arc<Keyframe>]) -> Result<(), StreamError> {
+    if frames.len() > MAX_FRAMES_IN_ANY_ORDER {
+        return Err(StreamError::TooManyFrames(frames.len()));
+    }
+    match frames.windows(2).find(|pair| pair[0].id >= pair[1].id) {
+        Some(pair) => Err(StreamError::FrameOrder(pair[1].id.0)),
+        None => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,133 @@
+//! The charts of a scan that is kept up, and what is known of each.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use crate::atlas::{AtlasLayout, ChartId, ChartPlacer, PlacedPiece};
+use crate::mesh::TriangleId;
+use crate::render::BoundingBox;
+use crate::texinit::assign::Assignment;
+use crate::texinit::assign::label::CandidateTable;
+use crate::texinit::fill::Coverage;
+use crate::texinit::transfer::TexelSum;
+
+/// Names a chart for as long as it is there; never given twice by one [`super::StreamInit`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct StreamChartId(pub u64);
+
+/// A chart, as the layout has it, and what the keyframes say of it. Triangles are named by their
+/// number in the chart.
+#[derive(Debug)]
+pub(super) struct StreamChart {
+    pub(super) id: StreamChartId,
+    /// Its triangles are those of the mesh, in a row.
+    pub(super) piece: PlacedPiece,
+    pub(super) bounds: BoundingBox,
+    /// How far a vertex may have moved since the chart was flattened, metres.
+    pub(super) drift_m: f64,
+    /// Columns by the numbers of keyframes.
+    pub(super) table: CandidateTable,
+    pub(super) assignment: Assignment,
+    /// Sums over the keyframes of triangles that show a mean.
+    pub(super) means: BTreeMap<u32, Vec<TexelSum>>,
+    /// How many texels of each triangle are painted.
+    pub(super) coverage: Vec<Coverage>,
+}
+
+impl StreamChart {
+    pub(super) fn new(id: StreamChartId, piece: PlacedPiece) -> Self {
+        let num_triangles = piece.chart.triangles.len();
+        Self {
+            id,
+            bounds: BoundingBox::around([]),
+            drift_m: 0.0,
+            table: CandidateTable::new(num_triangles, 0),
+            assignment: Assignment {
+                label: vec![None; num_triangles],
+                best_texels_per_m: vec![0.0; num_triangles],
+                mean_srgb: vec![[0; 3]; num_triangles],
+                num_views: vec![0; num_triangles],
+                is_partly_hidden: vec![false; num_triangles],
+                ..Assignment::default()
+            },
+            means: BTreeMap::new(),
+            coverage: vec![Coverage::default(); num_triangles],
+            piece,
+        }
+    }
+
+    pub(super) fn len(&self) -> usize {
+        self.piece.chart.triangles.len()
+    }
+
+    /// Its first triangle in the mesh.
+    pub(super) fn first_triangle(&self) -> usize {
+        self.piece.chart.triangles.first().map_or(0, |t| t.index())
+    }
+
+    pub(super) fn num_bytes(&self) -> usize {
+        let sums = self.means.values().map(|sums| size_of_val(&**sums));
+        // Per triangle: three sums of colours, corners, label and the like.
+        const PER_TRIANGLE: usize = 300;
+        self.table.num_bytes() + sums.sum::<usize>() + PER_TRIANGLE * self.len()
+    }
+}
+
+/// What changed about a chart.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Dirt {
+    /// It was not there before.
+    pub(super) is_fresh: bool,
+    /// It lies elsewhere in the atlas.
+    pub(super) is_relaid: bool,
+    /// Its page has another number.
+    pub(super) is_renumbered: bool,
+    /// Per triangle, whether a corner moved; empty where none did.
+    pub(super) moved: Vec<bool>,
+    /// It has other scores.
+    pub(super) has_new_scores: bool,
+    /// Keyframes that may see other parts of it than they did, or are gone.
+    pub(super) resighted: BTreeSet<u32>,
+    /// Keyframes that came and may see it.
+    pub(super) added: BTreeSet<u32>,
+}
+
+impl Dirt {
+    pub(super) fn is_moved(&self) -> bool {
+        !self.moved.is_empty()
+    }
+
+    pub(super) fn is_triangle_moved(&self, number: usize) -> bool {
+        self.moved.get(number).copied().unwrap_or(false)
+    }
+}
+
+/// The layout of some charts, whose triangles are numbered in their order.
+pub(super) fn layout_of(
+    charts: &[StreamChart],
+    placer: Option<&ChartPlacer>,
+    num_triangles: usize,
+) -> AtlasLayout {
+    let mut layout = AtlasLayout {
+        page_size_texel: placer.map_or([64; 2], ChartPlacer::page_size_texel),
+        num_pages: placer.map_or(0, ChartPlacer::num_pages),
+        texels_per_m: placer.map_or(1.0, ChartPlacer::texels_per_m),
+        charts: charts.iter().map(|c| c.piece.chart.clone()).collect(),
+        chart_of_triangle: Vec::with_capacity(num_triangles),
+        corners_texel: Vec::with_capacity(num_triangles),
+    };
+    for (id, chart) in (0_u32..).zip(charts) {
+        let ids = std::iter::repeat_n(ChartId(id), chart.len());
+        layout.chart_of_triangle.extend(ids);
+        layout.corners_texel.extend(&chart.piece.corners_texel);
+    }
+    layout
+}
+
+/// Triangles from `first` on.
+#[expect(
+    clippy::cast_possible_truncation,
+    reason = "a mesh has 32 bits of triangles"
+)]
+pub(super) fn triangles_from(first: usize, num: usize) -> Vec<TriangleId> {
+    (first as u32..).map(TriangleId).take(num).collect()
+}

@@ -1,0 +1,196 @@
+//! Where in an image surface came or went: what lies there may be hidden or uncovered by it.
+
+use nalgebra::Point3;
+
+use crate::geom::{PinholeCamera, RigidTransform};
+use crate::render::{BoundingBox, Frustum};
+
+/// Triangles that share a box.
+const CHUNK_SIZE: usize = 64;
+/// Blocks along an image.
+const NUM_COLUMNS: u32 = 96;
+/// What is nearer to the camera's plane than this may be drawn anywhere in the image, metres.
+const NEAR_M: f64 = 0.05;
+
+/// Surface that came or went.
+pub(super) struct TouchedSurface<'a> {
+    triangles: &'a [[Point3<f64>; 3]],
+    /// Of each chunk of triangles.
+    bounds: Vec<BoundingBox>,
+}
+
+impl<'a> TouchedSurface<'a> {
+    pub(super) fn new(triangles: &'a [[Point3<f64>; 3]]) -> Self {
+        let chunks = triangles.chunks(CHUNK_SIZE);
+        Self {
+            bounds: chunks
+                .map(|chunk| BoundingBox::around(chunk.iter().flatten().copied()))
+                .collect(),
+            triangles,
+        }
+    }
+
+    /// The part of an image within `reach_px` of it; `None` where it is out of view.
+    pub(super) fn cover(
+        &self,
+        camera: &PinholeCamera,
+        camera_from_world: &RigidTransform,
+        reach_px: f64,
+    ) -> Option<Cover> {
+        let frustum = Frustum::new(camera, camera_from_world);
+        let mut cover = Cover::empty(camera, camera_from_world);
+        let chunks = self.triangles.chunks(CHUNK_SIZE).zip(&self.bounds);
+        for (triangles, _) in chunks.filter(|(_, bounds)| frustum.may_see(bounds)) {
+            for corners in triangles {
+                cover.add(corners, reach_px);
+            }
+        }
+        cover.is_in.contains(&true).then_some(cover)
+    }
+}
+
+/// Blocks of an image.
+pub(super) struct Cover {
+    camera: PinholeCamera,
+    camera_from_world: RigidTransform,
+    block_px: f64,
+    /// Columns and rows.
+    size: [usize; 2],
+    /// Row by row.
+    is_in: Vec<bool>,
+}
+
+impl Cover {
+    fn empty(camera: &PinholeCamera, camera_from_world: &RigidTransform) -> Self {
+        let block_px = f64::from(camera.width().div_ceil(NUM_COLUMNS).max(1));
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "sides of an image"
+        )]
+        let size = [camera.width(), camera.height()]
+            .map(|side| (f64::from(side) / block_px).ceil() as usize);
+        Self {
+            camera: *camera,
+            camera_from_world: *camera_from_world,
+            block_px,
+            is_in: vec![false; size[0] * size[1]],
+            size,
+        }
+    }
+
+    /// Columns and rows, first and last, of the blocks that points may project into; `None` where
+    /// they are all out of the image.
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "clamped to the image before the casts"
+    )]
+    fn blocks(&self, points_m: &[Point3<f64>], reach_px: f64) -> Option<[[usize; 2]; 2]> {
+        let mut low = [f64::INFINITY; 2];
+        let mut high = [f64::NEG_INFINITY; 2];
+        let (mut nearest_m, mut farthest_m) = (f64::INFINITY, f64::NEG_INFINITY);
+        for point in points_m {
+            let point = self.camera_from_world.transform_point(point);
+            (nearest_m, farthest_m) = (nearest_m.min(point.z), farthest_m.max(point.z));
+            if let Some(px) = self.camera.project(&point) {
+                for axis in 0..2 {
+                    low[axis] = low[axis].min(px[axis]);
+                    high[axis] = high[axis].max(px[axis]);
+                }
+            }
+        }
+        if farthest_m <= 0.0 {
+            return None;
+        }
+        if nearest_m < NEAR_M {
+            return Some(self.size.map(|num| [0, num.saturating_sub(1)]));
+        }
+        let mut blocks = [[0; 2]; 2];
+        for axis in 0..2 {
+            let first = ((low[axis] + 0.5 - reach_px) / self.block_px).floor();
+            let last = ((high[axis] + 0.5 + reach_px) / self.block_px).floor();
+            let end = self.size[axis] as f64;
+            if !(first < end && last >= 0.0) {
+                return None;
+            }
+            blocks[axis] = [first.max(0.0) as usize, last.min(end - 1.0) as usize];
+        }
+        Some(blocks)
+    }
+
+    fn add(&mut self, corners_m: &[Point3<f64>; 3], reach_px: f64) {
+        if let Some([columns, [top, bottom]]) = self.blocks(corners_m, reach_px) {
+            for row in top..=bottom {
+                let start = row * self.size[0];
+                self.is_in[start + columns[0]..=start + columns[1]].fill(true);
+            }
+        }
+    }
+
+    /// Whether something between the points may lie in the part.
+    pub(super) fn meets(&self, points_m: &[Point3<f64>]) -> bool {
+        // Rounding to pixels.
+        const SLACK_PX: f64 = 1.0;
+        let Some([columns, [top, bottom]]) = self.blocks(points_m, SLACK_PX) else {
+            return false;
+        };
+        (top..=bottom).any(|row| {
+            let start = row * self.size[0];
+            self.is_in[start + columns[0]..=start + columns[1]].contains(&true)
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Vector3;
+
+    fn camera() -> PinholeCamera {
+        PinholeCamera::new([100.0, 100.0, 95.5, 71.5], 192, 144).unwrap()
+    }
+
+    fn triangle(x: f64, y: f64, z: f64) -> [Point3<f64>; 3] {
+        [[0.0, 0.0], [0.1, 0.0], [0.0, 0.1]].map(|[dx, dy]| Point3::new(x + dx, y + dy, z))
+    }
+
+    #[test]
+    fn what_lies_behind_or_near_meets_and_what_is_far_off_does_not() {
+        let identity = RigidTransform::identity();
+        let touched = [triangle(0.0, 0.0, 1.0)];
+        let surface = TouchedSurface::new(&touched);
+        let cover = surface.cover(&camera(), &identity, 3.0).unwrap();
+        assert!(cover.meets(&triangle(0.0, 0.0, 4.0)));
+        // 14 px right of it, then 2 px: within reach.
+        assert!(!cover.meets(&triangle(0.24, 0.0, 1.0)));
+        assert!(cover.meets(&triangle(0.12, 0.0, 1.0)));
+        assert!(!cover.meets(&triangle(0.0, 0.0, -1.0)));
+        // A triangle that reaches behind the camera may be anywhere.
+        let around = [
+            Point3::new(0.0, 0.0, -1.0),
+            Point3::new(9.0, 0.0, 1.0),
+            Point3::new(9.0, 9.0, 1.0),
+        ];
+        assert!(cover.meets(&around));
+    }
+
+    #[test]
+    fn surface_out_of_view_covers_nothing() {
+        let turned = RigidTransform::from_parts(
+            nalgebra::UnitQuaternion::from_axis_angle(&Vector3::y_axis(), 3.0),
+            Vector3::zeros(),
+        );
+        let touched = [triangle(0.0, 0.0, 1.0)];
+        assert!(
+            TouchedSurface::new(&touched)
+                .cover(&camera(), &turned, 3.0)
+                .is_none()
+        );
+        assert!(
+            TouchedSurface::new(&[])
+                .cover(&camera(), &turned, 3.0)
+                .is_none()
+        );
+    }
+}

@@ -1,0 +1,151 @@
+//! New charts onto pages: at which density, and what happens where there is no room.
+
+use std::sync::Arc;
+
+use super::charts::{StreamChart, StreamChartId};
+use super::surface::SurfaceChange;
+use super::{StreamError, StreamInit, StreamUpdate};
+use crate::atlas::{ChartPlacer, PackError, PackParams, PlacedPiece, TexturePage};
+use crate::keyframe::Keyframe;
+use crate::texinit::flatten::FlatChart;
+use crate::texinit::{Decode, assign, density};
+
+/// Steps of density in an octave.
+const DENSITY_STEPS: f64 = 4.0;
+/// Steps that the density falls at most, 16 octaves: then not even the gutters fit.
+const MAX_FALLS: usize = 64;
+
+impl StreamInit {
+    /// Gives every new chart a place.
+    pub(super) fn place_loose(
+        &mut self,
+        loose: Vec<FlatChart>,
+        change: &mut SurfaceChange,
+        frames: &[Arc<Keyframe>],
+        decode: &Decode<'_>,
+        update: &mut StreamUpdate,
+    ) -> Result<(), StreamError> {
+        if loose.is_empty() {
+            return Ok(());
+        }
+        if !self.has_density {
+            // All charts are new.
+            self.texture.pages.clear();
+            self.placer = None;
+        }
+        let mut placer = match self.placer.take() {
+            Some(placer) => placer,
+            None => {
+                let texels_per_m = self.density(change, frames, decode)?;
+                ChartPlacer::new(texels_per_m, &self.pack_params())?
+            }
+        };
+        let (placer, pieces) = match placer.place(&loose) {
+            Ok(pieces) => (placer, pieces),
+            Err(PackError::OverBudget { .. }) => {
+                update.has_new_pages |= !self.charts.is_empty();
+                let charts = if self.charts.is_empty() {
+                    loose
+                } else {
+                    self.part_all(change, update);
+                    self.flatten_loose(change)?
+                };
+                self.place_sparser(&charts, placer.texels_per_m())?
+            }
+            Err(error) => return Err(error.into()),
+        };
+        self.placer = Some(placer);
+        for piece in pieces {
+            change.add_fresh(&piece.chart.triangles);
+            let id = StreamChartId(self.next_chart);
+            self.next_chart += 1;
+            self.charts.push(StreamChart::new(id, piece));
+        }
+        self.open_pages();
+        Ok(())
+    }
+
+    /// All charts at the first lower density at which they fit.
+    fn place_sparser(
+        &self,
+        charts: &[FlatChart],
+        mut texels_per_m: f64,
+    ) -> Result<(ChartPlacer, Vec<PlacedPiece>), StreamError> {
+        let mut num_falls = 0;
+        loop {
+            texels_per_m *= (-1.0 / DENSITY_STEPS).exp2();
+            num_falls += 1;
+            let mut placer = ChartPlacer::new(texels_per_m, &self.pack_params())?;
+            match placer.place(charts) {
+                Ok(pieces) => return Ok((placer, pieces)),
+                Err(PackError::OverBudget { .. }) if num_falls < MAX_FALLS => {}
+                Err(error) => return Err(error.into()),
+            }
+        }
+    }
+
+    fn pack_params(&self) -> PackParams {
+        let pack = &self.params.pack;
+        PackParams {
+            page_size_texel: self.stream.page_size_texel.min(pack.page_size_texel),
+            ..*pack
+        }
+    }
+
+    /// Texels per metre that the images ask for, in steps; it stays from when they see something.
+    fn density(
+        &mut self,
+        change: &SurfaceChange,
+        frames: &[Arc<Keyframe>],
+        decode: &Decode<'_>,
+    ) -> Result<f64, StreamError> {
+        let mesh = change.mesh();
+        let seen = assign::assign(mesh, frames, decode, &self.params.assign, &|_| ())?;
+        let params = &self.params.density;
+        let wanted = density::wanted_texels_per_m(mesh, &seen.best_texels_per_m, params);
+        if params.texels_per_m > 0.0 {
+            self.has_density = true;
+            return Ok(wanted);
+        }
+        self.has_density = seen.best_texels_per_m.iter().any(|&density| density > 0.0);
+        Ok(((DENSITY_STEPS * wanted.log2()).floor() / DENSITY_STEPS).exp2())
+    }
+
+    fn open_pages(&mut self) {
+        let Some(placer) = &self.placer else { return };
+        let [width, height] = placer.page_size_texel();
+        self.texture
+            .pages
+            .resize_with(placer.num_pages() as usize, || {
+                TexturePage::blank(width, height)
+            });
+    }
+
+    /// Empties a page where charts hold too little of the pages; at most one, so that an update stays
+    /// small.
+    pub(super) fn compact(&mut self, change: &mut SurfaceChange, update: &mut StreamUpdate) {
+        let Some(placer) = &mut self.placer else {
+            return;
+        };
+        if placer.used_share() >= self.stream.min_used_share {
+            return;
+        }
+        let mut pieces: Vec<&mut PlacedPiece> = self
+            .charts
+            .iter_mut()
+            .map(|chart| &mut chart.piece)
+            .collect();
+        let Some(done) = placer.compact(&mut pieces) else {
+            return;
+        };
+        for &chart in &done.moved {
+            change.dirt[chart].is_relaid = true;
+        }
+        for (chart, dirt) in self.charts.iter().zip(&mut change.dirt) {
+            let is_on_it = chart.piece.chart.page == done.closed_page;
+            dirt.is_renumbered = is_on_it && done.renumbered_page != done.closed_page;
+        }
+        self.texture.pages.swap_remove(done.closed_page as usize);
+        update.has_new_pages = true;
+    }
+}

@@ -1,0 +1,293 @@
+//! Texels of triangles that are painted otherwise than before, the unseen regions beside them, and
+//! the gutters around them.
+
+use std::sync::Arc;
+
+use super::charts::{Dirt, StreamChart};
+use super::keyframes::Turnover;
+use super::surface::SurfaceChange;
+use super::{StreamInit, StreamUpdate};
+use crate::atlas::gutter::dilate_gutters_of;
+use crate::atlas::{TexelSource, TexturePage, for_each_texel_within};
+use crate::geom::PinholeCamera;
+use crate::keyframe::Keyframe;
+use crate::mesh::TriangleId;
+use crate::texinit::assign::{Assignment, FramePose};
+use crate::texinit::fill::{Coverage, Surface, fill_triangles, regions_at};
+use crate::texinit::transfer::{MeanJob, MeanTexels, PaintJob, Painter, TexelSum, TransferMode};
+use crate::texinit::{Decode, Observer};
+
+/// What was painted.
+pub(super) struct Repainted {
+    /// Per chart: whether any of its texels may be another.
+    pub(super) is_chart: Vec<bool>,
+    /// Per vertex: whether texels of a triangle at it may be others.
+    is_vertex: Vec<bool>,
+}
+
+/// What has to be painted.
+#[derive(Default)]
+struct Plan {
+    /// Triangles to paint, with the number of the keyframe.
+    assigned: Vec<(u32, TriangleId)>,
+    /// Triangles whose mean is taken anew over all keyframes.
+    summed: Vec<TriangleId>,
+    /// Triangles to whose sums new keyframes add.
+    grown: Vec<(TriangleId, Vec<TexelSum>)>,
+    /// Triangles none of whose texels stay.
+    wiped: Vec<TriangleId>,
+    /// Triangles whose texels of a keyframe stay.
+    thinned: Vec<TriangleId>,
+}
+
+impl StreamInit {
+    /// Paints what is painted otherwise than before.
+    #[expect(
+        clippy::too_many_arguments,
+        reason = "what a step of an update is given"
+    )]
+    pub(super) fn repaint(
+        &mut self,
+        frames: &[Arc<Keyframe>],
+        turnover: &Turnover,
+        change: &SurfaceChange,
+        before: &[Option<Assignment>],
+        decode: &Decode<'_>,
+        observer: &dyn Observer,
+        update: &mut StreamUpdate,
+    ) -> Repainted {
+        let is_assigned = self.params.transfer.mode == TransferMode::Assigned;
+        let mut plan = Plan::default();
+        for ((chart, dirt), before) in self.charts.iter_mut().zip(&change.dirt).zip(before) {
+            plan.add_chart(chart, dirt, before.as_ref(), turnover, is_assigned);
+        }
+        let touched = plan.touched();
+        update.num_triangles_painted = touched.len();
+        self.wipe(&plan);
+        self.paint(plan, frames, turnover, decode, observer);
+        self.repainted(&touched)
+    }
+
+    /// Resets texels to as if nobody had painted them.
+    fn wipe(&mut self, plan: &Plan) {
+        let blank = |page: &mut TexturePage, index: usize| {
+            page.srgb[index] = [0; 3];
+            page.source[index] = TexelSource::NONE;
+            page.confidence[index] = 0;
+        };
+        for (triangles, keeps_assigned) in [(&plan.wiped, false), (&plan.thinned, true)] {
+            for &triangle in triangles {
+                let page = &mut self.texture.pages[self.layout.page_of(triangle) as usize];
+                let corners = &self.layout.corners_texel[triangle.index()];
+                for_each_texel_within(corners, self.layout.page_size_texel, |x, y, _| {
+                    let index = (y * page.width + x) as usize;
+                    if !(keeps_assigned && page.source[index].as_keyframe().is_some()) {
+                        blank(page, index);
+                    }
+                });
+            }
+        }
+    }
+
+    fn paint(
+        &mut self,
+        plan: Plan,
+        frames: &[Arc<Keyframe>],
+        turnover: &Turnover,
+        decode: &Decode<'_>,
+        observer: &dyn Observer,
+    ) {
+        let known = |frame: &Arc<Keyframe>| self.frames.get(frame.id.0);
+        let is_usable: Vec<bool> = frames
+            .iter()
+            .map(|frame| known(frame).is_some_and(|known| known.failure.is_none()))
+            .collect();
+        let cameras: Vec<Option<PinholeCamera>> =
+            frames.iter().map(|frame| known(frame)?.camera).collect();
+        let is_added = frames.iter().zip(&is_usable);
+        let is_added: Vec<bool> = is_added
+            .map(|(frame, is_usable)| *is_usable && turnover.added.contains(&frame.id.0))
+            .collect();
+        let mut by_frame = vec![Vec::new(); frames.len()];
+        for (number, triangle) in plan.assigned {
+            if let Ok(index) = frames.binary_search_by_key(&number, |frame| frame.id.0) {
+                by_frame[index].push(triangle);
+            }
+        }
+        let is_partly_hidden: Vec<bool> = self
+            .charts
+            .iter()
+            .flat_map(|chart| chart.assignment.is_partly_hidden.iter().copied())
+            .collect();
+        let (mesh, layout) = (&self.mesh, &self.layout);
+        let job = PaintJob {
+            by_frame,
+            means: vec![
+                MeanJob {
+                    texels: MeanTexels::new(mesh, layout, plan.summed.into_iter()),
+                    counts: is_usable,
+                },
+                MeanJob {
+                    texels: MeanTexels::with_sums(mesh, plan.grown.into_iter()),
+                    counts: is_added,
+                },
+            ],
+            cameras: Some(&cameras),
+        };
+        let painter = Painter {
+            mesh,
+            runs: &self.runs,
+            layout,
+            params: &self.params.transfer,
+            is_partly_hidden: &is_partly_hidden,
+        };
+        let poses: Vec<FramePose> = frames.iter().map(|frame| (&**frame).into()).collect();
+        let decode_at = |frame: usize| decode(&frames[frame]);
+        let advance = |num_steps: usize| observer.advance(num_steps);
+        let pages = &mut self.texture.pages;
+        let (means, _) = painter.paint_all(job, &poses, &decode_at, &advance, pages);
+        for (triangle, sums) in means.into_iter().flat_map(|means| means.texels.into_sums()) {
+            let chart = &mut self.charts[self.layout.chart_of_triangle[triangle.index()].index()];
+            let number = triangle.index() - chart.first_triangle();
+            #[expect(clippy::cast_possible_truncation, reason = "a number in a mesh")]
+            chart.means.insert(number as u32, sums);
+        }
+    }
+
+    /// Counts the texels of what was painted anew, and marks charts and vertices.
+    fn repainted(&mut self, touched: &[TriangleId]) -> Repainted {
+        let mut repainted = Repainted {
+            is_chart: vec![false; self.charts.len()],
+            is_vertex: vec![false; self.mesh.num_vertices()],
+        };
+        for &triangle in touched {
+            let index = self.layout.chart_of_triangle[triangle.index()].index();
+            repainted.is_chart[index] = true;
+            for vertex in self.mesh.triangles()[triangle.index()] {
+                repainted.is_vertex[vertex as usize] = true;
+            }
+            let chart = &mut self.charts[index];
+            let number = triangle.index() - chart.first_triangle();
+            let page = &self.texture.pages[chart.piece.chart.page as usize];
+            chart.coverage[number] = Coverage::of(&chart.piece.corners_texel[number], page);
+        }
+        repainted
+    }
+
+    /// Fills the unseen regions at vertices where the surface or its texels changed.
+    pub(super) fn fill_beside(&mut self, change: &SurfaceChange, repainted: &mut Repainted) {
+        let is_seed: Vec<bool> = change
+            .is_touched
+            .iter()
+            .zip(&repainted.is_vertex)
+            .map(|(is_touched, is_repainted)| *is_touched || *is_repainted)
+            .collect();
+        if !is_seed.contains(&true) {
+            return;
+        }
+        let charts = self.charts.iter();
+        let coverage: Vec<Coverage> = charts
+            .flat_map(|chart| chart.coverage.iter().copied())
+            .collect();
+        // On the grid no two vertices have one position.
+        let itself: Vec<u32> = (0_u32..).take(self.mesh.num_vertices()).collect();
+        let surface = Surface {
+            mesh: &self.mesh,
+            representative: &itself,
+        };
+        let is_wanted = regions_at(&surface, &coverage, &is_seed);
+        if !is_wanted.contains(&true) {
+            return;
+        }
+        fill_triangles(
+            &surface,
+            &self.layout,
+            &mut self.texture,
+            &coverage,
+            &is_wanted,
+            &self.params.fill,
+        );
+        let charts = self.layout.chart_of_triangle.iter().zip(&is_wanted);
+        for (chart, _) in charts.filter(|(_, is_wanted)| **is_wanted) {
+            repainted.is_chart[chart.index()] = true;
+        }
+    }
+
+    /// Paints the gutters of the charts with other texels.
+    pub(super) fn dilate(&mut self, repainted: &Repainted) {
+        if self.params.has_gutters {
+            let charts = self.charts.iter().zip(&repainted.is_chart);
+            let charts = charts.filter(|(_, is_repainted)| **is_repainted);
+            let charts: Vec<_> = charts.map(|(chart, _)| &chart.piece.chart).collect();
+            dilate_gutters_of(&charts, &mut self.texture);
+        }
+    }
+}
+
+impl Plan {
+    /// Adds what is painted otherwise in a chart.
+    fn add_chart(
+        &mut self,
+        chart: &mut StreamChart,
+        dirt: &Dirt,
+        before: Option<&Assignment>,
+        turnover: &Turnover,
+        is_assigned: bool,
+    ) {
+        let is_same = before.is_none() && dirt.resighted.is_empty() && dirt.added.is_empty();
+        let is_elsewhere = dirt.is_fresh || dirt.is_relaid;
+        if is_same && !is_elsewhere && !dirt.is_moved() {
+            return;
+        }
+        let first = chart.first_triangle();
+        for number in 0..chart.len() {
+            #[expect(clippy::cast_possible_truncation, reason = "numbers in a mesh")]
+            let (triangle, number_u32) = (TriangleId((first + number) as u32), number as u32);
+            let now = of_triangle(&chart.assignment, number);
+            let is_new = is_elsewhere
+                || dirt.is_triangle_moved(number)
+                || before.is_some_and(|before| of_triangle(before, number) != now);
+            let (label, is_hidden) = now;
+            let label = label.filter(|_| is_assigned);
+            let needs_mean = label.is_none() || is_hidden;
+            let sums = chart.means.remove(&number_u32);
+            let is_resighted = |frame: u32| {
+                let is_other = is_hidden || turnover.moved.contains(&frame);
+                dirt.resighted.contains(&frame) && is_other
+            };
+            let paints = is_new || label.is_some_and(is_resighted);
+            let sums = match sums {
+                Some(sums) if needs_mean && !is_new && dirt.resighted.is_empty() => sums,
+                _ => {
+                    if needs_mean || paints {
+                        self.wiped.push(triangle);
+                        self.assigned.extend(label.map(|frame| (frame, triangle)));
+                    }
+                    if needs_mean {
+                        self.summed.push(triangle);
+                    }
+                    continue;
+                }
+            };
+            if dirt.added.is_empty() {
+                chart.means.insert(number_u32, sums);
+            } else {
+                self.thinned.push(triangle);
+                self.grown.push((triangle, sums));
+            }
+        }
+    }
+
+    /// All triangles that are painted, each once.
+    fn touched(&self) -> Vec<TriangleId> {
+        self.wiped.iter().chain(&self.thinned).copied().collect()
+    }
+}
+
+/// Which keyframe paints a triangle, and whether part of it is hidden there.
+fn of_triangle(assignment: &Assignment, number: usize) -> (Option<u32>, bool) {
+    (
+        assignment.label[number],
+        assignment.is_partly_hidden[number],
+    )
+}

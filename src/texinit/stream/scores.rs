@@ -1,0 +1,269 @@
+//! Scores of what is new, of what moved, and of what others may hide or uncover; then labels.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use nalgebra::Point3;
+use rayon::prelude::*;
+
+use super::charts::StreamChart;
+use super::cover::{Cover, TouchedSurface};
+use super::keyframes::{KnownFrame, Turnover};
+use super::surface::SurfaceChange;
+use super::{StreamInit, StreamUpdate};
+use crate::geom::PinholeCamera;
+use crate::keyframe::Keyframe;
+use crate::render::{BoundingBox, Frustum, MeshPart};
+use crate::texinit::assign::Assignment;
+use crate::texinit::assign::chart_table::{ChartPlaces, chart_mesh};
+use crate::texinit::assign::cues::{FrameCandidates, FrameWorkspace, score_part};
+use crate::texinit::{Decode, Observer};
+
+/// What a keyframe was found to see.
+struct Sighting {
+    camera: PinholeCamera,
+    /// Charts that were looked at, ascending.
+    charts: Vec<usize>,
+    /// What it says of them, by chart; nothing of those that it may not paint.
+    parts: BTreeMap<u32, FrameCandidates>,
+}
+
+/// What all keyframes look at.
+struct Scoring<'a> {
+    state: &'a StreamInit,
+    turnover: &'a Turnover,
+    change: &'a SurfaceChange,
+    touched: TouchedSurface<'a>,
+    /// Around all surface that came, went or moved; `None` where there is none.
+    changed_bounds: Option<BoundingBox>,
+    places: ChartPlaces,
+    decode: &'a Decode<'a>,
+}
+
+impl StreamInit {
+    /// Scores charts in keyframes wherever one of the two, or what lies between them, is another than
+    /// before.
+    pub(super) fn score(
+        &mut self,
+        frames: &[Arc<Keyframe>],
+        turnover: &Turnover,
+        change: &mut SurfaceChange,
+        decode: &Decode<'_>,
+        observer: &dyn Observer,
+        update: &mut StreamUpdate,
+    ) {
+        let triangles = self
+            .charts
+            .iter()
+            .map(|chart| &*chart.piece.chart.triangles);
+        let scoring = Scoring {
+            state: self,
+            turnover,
+            change,
+            touched: TouchedSurface::new(&change.touched),
+            changed_bounds: self.changed_bounds(change),
+            places: ChartPlaces::new(self.mesh.num_triangles(), triangles),
+            decode,
+        };
+        let sightings: Vec<Result<Option<Sighting>, String>> = frames
+            .par_iter()
+            .map_init(FrameWorkspace::default, |workspace, keyframe| {
+                let sighting = scoring.look(keyframe, workspace);
+                observer.advance(1);
+                sighting
+            })
+            .collect();
+        for (keyframe, sighting) in frames.iter().zip(sightings) {
+            let number = keyframe.id.0;
+            match sighting {
+                Ok(Some(sighting)) => {
+                    update.num_pairs_scored += sighting.charts.len();
+                    self.take_sighting(number, keyframe, sighting, turnover, change);
+                }
+                Ok(None) => {}
+                Err(reason) => self.fail(number, reason, change),
+            }
+        }
+    }
+
+    /// Around charts that have to be scored and surface that may hide others.
+    fn changed_bounds(&self, change: &SurfaceChange) -> Option<BoundingBox> {
+        let charts = self.charts.iter().zip(&change.dirt);
+        let to_score = charts.filter(|(_, dirt)| dirt.is_fresh || dirt.is_moved());
+        let corners = to_score.flat_map(|(chart, _)| chart.bounds.corners_m());
+        let mut points = corners.chain(change.touched.iter().flatten().copied());
+        let first = points.next()?;
+        Some(BoundingBox::around(std::iter::once(first).chain(points)))
+    }
+
+    fn take_sighting(
+        &mut self,
+        number: u32,
+        keyframe: &Keyframe,
+        mut sighting: Sighting,
+        turnover: &Turnover,
+        change: &mut SurfaceChange,
+    ) {
+        if let Some(known) = self.frames.get_mut(number) {
+            known.camera = Some(sighting.camera);
+        }
+        for index in sighting.charts {
+            let (chart, dirt) = (&mut self.charts[index], &mut change.dirt[index]);
+            #[expect(clippy::cast_possible_truncation, reason = "fewer than triangles")]
+            let part = sighting.parts.remove(&(index as u32));
+            if chart.table.column(number) != part.as_ref() {
+                dirt.has_new_scores = true;
+                match part {
+                    Some(part) => chart.table.add(number, keyframe.quality, part),
+                    None => _ = chart.table.remove(number),
+                }
+            }
+            if turnover.added.contains(&number) {
+                dirt.added.insert(number);
+            } else {
+                dirt.resighted.insert(number);
+            }
+        }
+    }
+
+    /// A keyframe does not decode: it paints nothing.
+    fn fail(&mut self, number: u32, reason: String, change: &mut SurfaceChange) {
+        let Some(known) = self.frames.get(number).cloned() else {
+            return;
+        };
+        self.forget(number, &known, change);
+        if let Some(known) = self.frames.get_mut(number) {
+            known.failure = Some(reason);
+        }
+    }
+
+    /// Labels every chart with other scores; returns, per chart, what it was assigned before where
+    /// that was done.
+    pub(super) fn label(&mut self, change: &SurfaceChange) -> Vec<Option<Assignment>> {
+        let typical = self.frames.typical_quality();
+        let is_shifted = typical != self.typical;
+        self.typical = typical;
+        let (mesh, params) = (&self.mesh, &self.params.assign);
+        self.charts
+            .par_iter_mut()
+            .zip(&change.dirt)
+            .map(|(chart, dirt)| {
+                if !dirt.has_new_scores && !is_shifted {
+                    return None;
+                }
+                let own = chart_mesh(mesh, &chart.piece.chart.triangles);
+                let assignment = chart.table.assign(&own, params, typical);
+                Some(std::mem::replace(&mut chart.assignment, assignment))
+            })
+            .collect()
+    }
+}
+
+impl Scoring<'_> {
+    /// Scores what has to be scored in a keyframe; `None` for one that is known to be unusable.
+    fn look(
+        &self,
+        keyframe: &Keyframe,
+        workspace: &mut FrameWorkspace,
+    ) -> Result<Option<Sighting>, String> {
+        let Some(known) = self.state.frames.get(keyframe.id.0) else {
+            return Ok(None);
+        };
+        if known.failure.is_some() {
+            return Ok(None);
+        }
+        let decode = || (self.decode)(keyframe).map_err(|error| error.to_string());
+        let mut decoded = None;
+        let camera = match known.camera {
+            Some(camera) => camera,
+            None => decoded.insert(decode()?).color_camera,
+        };
+        let mut sighting = Sighting {
+            camera,
+            charts: self.charts_to_score(keyframe.id.0, known, &camera),
+            parts: BTreeMap::new(),
+        };
+        if sighting.charts.is_empty() {
+            return Ok(Some(sighting));
+        }
+        let frame = match decoded {
+            Some(frame) => frame,
+            None => decode()?,
+        };
+        let mesh = &self.state.mesh;
+        let camera_from_world = known.pose.world_from_camera.inverse();
+        let in_view = self.state.runs.in_view(&camera, &camera_from_world);
+        #[expect(
+            clippy::cast_possible_truncation,
+            reason = "a mesh has 32 bits of triangles"
+        )]
+        let run = |&chart: &usize| {
+            let chart = &self.state.charts[chart];
+            let first = chart.first_triangle() as u32;
+            first..first + chart.len() as u32
+        };
+        let part = MeshPart::of_runs(mesh, sighting.charts.iter().map(run).collect());
+        let params = &self.state.params.assign;
+        let scored = score_part(
+            mesh,
+            &in_view,
+            &part,
+            &known.pose,
+            &frame,
+            params,
+            workspace,
+        )
+        .map_err(|error| error.to_string())?;
+        sighting.parts = self.places.split(scored);
+        Ok(Some(sighting))
+    }
+
+    fn charts_to_score(
+        &self,
+        number: u32,
+        known: &KnownFrame,
+        camera: &PinholeCamera,
+    ) -> Vec<usize> {
+        let camera_from_world = known.pose.world_from_camera.inverse();
+        let frustum = Frustum::new(camera, &camera_from_world);
+        let may_matter = |bounds: &BoundingBox| frustum.may_see(bounds);
+        if !self.turnover.is_unseen(number) && !self.changed_bounds.as_ref().is_some_and(may_matter)
+        {
+            return Vec::new();
+        }
+        let cover = if self.turnover.is_unseen(number) {
+            None
+        } else {
+            let reach_px = self.reach_px(camera);
+            self.touched.cover(camera, &camera_from_world, reach_px)
+        };
+        let charts = self.state.charts.iter().zip(&self.change.dirt).enumerate();
+        let in_view = charts.filter(|(_, (chart, _))| frustum.may_see(&chart.bounds));
+        let to_score = in_view.filter(|(_, (chart, dirt))| {
+            self.turnover.is_unseen(number)
+                || dirt.is_fresh
+                || dirt.is_moved()
+                || cover.as_ref().is_some_and(|cover| self.meets(cover, chart))
+        });
+        to_score.map(|(index, _)| index).collect()
+    }
+
+    /// How far from its outline surface may matter to others, for scores and for means.
+    fn reach_px(&self, camera: &PinholeCamera) -> f64 {
+        let params = &self.state.params;
+        let of_means = params.transfer.visibility.reach_px(camera);
+        let of_scores = params.assign.visibility.as_ref();
+        of_scores.map_or(of_means, |scores| of_means.max(scores.reach_px(camera)))
+    }
+
+    fn meets(&self, cover: &Cover, chart: &StreamChart) -> bool {
+        if !cover.meets(&chart.bounds.corners_m()) {
+            return false;
+        }
+        let mut triangles = chart.piece.chart.triangles.iter();
+        triangles.any(|&triangle| {
+            let corners: [Point3<f64>; 3] = self.state.mesh.corners_m(triangle);
+            cover.meets(&corners)
+        })
+    }
+}

@@ -1,0 +1,296 @@
+//! What a new mesh does to the charts: which stay, and which triangles need one.
+
+use std::sync::Arc;
+
+use nalgebra::Point3;
+
+use super::charts::{Dirt, StreamChart, layout_of, triangles_from};
+use super::{StreamError, StreamInit, StreamUpdate};
+use crate::atlas::TexelSource;
+use crate::mesh::diff::on_grid;
+use crate::mesh::{MeshDiff, OldTriangle, Origin, TriMesh, TriangleId, diff};
+use crate::render::{BoundingBox, MeshRuns};
+use crate::texinit::assign::chart_table::chart_mesh;
+use crate::texinit::assign::label::CandidateTable;
+use crate::texinit::flatten::{self, FlatChart};
+use crate::texinit::overlap;
+
+/// What an update does to the surface and to the charts on it.
+#[derive(Debug, Default)]
+pub(super) struct SurfaceChange {
+    /// The mesh, its triangles in the caller's order.
+    mesh: TriMesh,
+    /// Per chart that stays: its triangles in `mesh`, with the corner of each that comes first.
+    members: Vec<Vec<Member>>,
+    /// Triangles of `mesh` that have no chart, ascending.
+    loose: Vec<TriangleId>,
+    /// Surface that came or went, as triangles in space.
+    pub(super) touched: Vec<[Point3<f64>; 3]>,
+    /// Per vertex of `mesh`: whether a triangle at it came, went or moved.
+    pub(super) is_touched: Vec<bool>,
+    /// Per chart, new ones included once they are placed.
+    pub(super) dirt: Vec<Dirt>,
+}
+
+/// A triangle of the caller's mesh, listed from one of its corners on.
+#[derive(Clone, Copy, Debug)]
+struct Member {
+    triangle: TriangleId,
+    first_corner: u8,
+}
+
+/// What became of an old triangle.
+#[derive(Clone, Copy)]
+struct Successor {
+    member: Member,
+    is_moved: bool,
+}
+
+impl StreamInit {
+    /// Compares the mesh with the one before, and takes charts apart that lost triangles.
+    pub(super) fn take_mesh(
+        &mut self,
+        given: &Arc<TriMesh>,
+        update: &mut StreamUpdate,
+    ) -> Result<SurfaceChange, StreamError> {
+        let is_same = self
+            .given
+            .as_ref()
+            .is_some_and(|old| Arc::ptr_eq(old, given));
+        let mesh = if is_same {
+            self.mesh.clone()
+        } else {
+            on_grid(given, self.stream.diff.quantum_m)?
+        };
+        let found = diff(&self.mesh, &mesh, &self.stream.diff)?;
+        self.given = Some(given.clone());
+        update.mesh = found.counts();
+        let mut change = SurfaceChange {
+            touched: self.touched(&mesh, &found),
+            is_touched: found.is_touched.clone(),
+            mesh,
+            ..SurfaceChange::default()
+        };
+        self.part_charts(&found, &mut change, update);
+        Ok(change)
+    }
+
+    /// Surface that came or went.
+    fn touched(&self, mesh: &TriMesh, found: &MeshDiff) -> Vec<[Point3<f64>; 3]> {
+        let gone = found.gone.iter().map(|&t| self.mesh.corners_m(t));
+        let came = mesh.triangle_ids().zip(&found.origins);
+        let came = came.flat_map(|(triangle, origin)| match origin {
+            Origin::Kept(_) => [None, None],
+            Origin::Moved(old) => [
+                Some(self.mesh.corners_m(old.triangle)),
+                Some(mesh.corners_m(triangle)),
+            ],
+            Origin::Changed | Origin::New => [Some(mesh.corners_m(triangle)), None],
+        });
+        gone.chain(came.flatten()).collect()
+    }
+
+    /// Keeps the charts that can stay, and takes the others off their pages.
+    fn part_charts(
+        &mut self,
+        found: &MeshDiff,
+        change: &mut SurfaceChange,
+        update: &mut StreamUpdate,
+    ) {
+        let mut successors: Vec<Option<Successor>> = vec![None; self.mesh.num_triangles()];
+        let mut is_beside_change = vec![false; change.mesh.num_vertices()];
+        for (triangle, origin) in change.mesh.triangle_ids().zip(&found.origins) {
+            match *origin {
+                Origin::Kept(old) => {
+                    successors[old.triangle.index()] = Some(after(triangle, old, false))
+                }
+                Origin::Moved(old) => {
+                    successors[old.triangle.index()] = Some(after(triangle, old, true))
+                }
+                Origin::Changed | Origin::New => {
+                    for vertex in change.mesh.triangles()[triangle.index()] {
+                        is_beside_change[vertex as usize] = true;
+                    }
+                }
+            }
+        }
+        let mut is_loose = vec![true; change.mesh.num_triangles()];
+        for mut chart in std::mem::take(&mut self.charts) {
+            let triangles = chart.piece.chart.triangles.iter();
+            let after: Option<Vec<Successor>> = triangles.map(|t| successors[t.index()]).collect();
+            let stays = after.filter(|after| {
+                self.has_density && self.may_stay(&mut chart, after, change, &is_beside_change)
+            });
+            match stays {
+                Some(after) => {
+                    for successor in &after {
+                        is_loose[successor.member.triangle.index()] = false;
+                    }
+                    change.adopt(&chart, &after);
+                    self.charts.push(chart);
+                }
+                None => {
+                    update.gone_charts.push(chart.id);
+                    self.take_off(&chart);
+                }
+            }
+        }
+        let triangles = change.mesh.triangle_ids();
+        change.loose = triangles.filter(|t| is_loose[t.index()]).collect();
+    }
+
+    /// Whether a chart that has all its triangles still is as good as a new one.
+    fn may_stay(
+        &self,
+        chart: &mut StreamChart,
+        after: &[Successor],
+        change: &SurfaceChange,
+        is_beside_change: &[bool],
+    ) -> bool {
+        let is_beside = |successor: &Successor| {
+            let corners = change.mesh.triangles()[successor.member.triangle.index()];
+            corners
+                .iter()
+                .any(|&vertex| is_beside_change[vertex as usize])
+        };
+        if chart.len() < self.stream.remake_below_triangles && after.iter().any(is_beside) {
+            return false;
+        }
+        let mut farthest_m = 0.0_f64;
+        let before = chart.piece.chart.triangles.iter();
+        for (&old, successor) in before.zip(after).filter(|(_, after)| after.is_moved) {
+            let now = change.corners_m(successor.member);
+            for (before, now) in self.mesh.corners_m(old).iter().zip(now) {
+                farthest_m = farthest_m.max((now - before).norm());
+            }
+        }
+        chart.drift_m += farthest_m;
+        chart.drift_m <= self.stream.max_drift_m
+    }
+
+    /// Blanks a chart's texels and frees its cells.
+    fn take_off(&mut self, chart: &StreamChart) {
+        if let Some(page) = self.texture.pages.get_mut(chart.piece.chart.page as usize) {
+            for (y, first, len) in chart.piece.chart.own_spans() {
+                let start = (y * page.width + first) as usize;
+                let span = start..start + len as usize;
+                page.srgb[span.clone()].fill([0; 3]);
+                page.source[span.clone()].fill(TexelSource::NONE);
+                page.confidence[span].fill(0);
+            }
+        }
+        if let Some(placer) = &mut self.placer {
+            placer.remove(chart.piece.slot);
+        }
+    }
+
+    /// Takes all charts apart and forgets the pages.
+    pub(super) fn part_all(&mut self, change: &mut SurfaceChange, update: &mut StreamUpdate) {
+        update
+            .gone_charts
+            .extend(self.charts.iter().map(|chart| chart.id));
+        update.gone_charts.sort_unstable();
+        self.charts.clear();
+        self.texture.pages.clear();
+        self.placer = None;
+        change.members.clear();
+        change.dirt.clear();
+        change.loose = change.mesh.triangle_ids().collect();
+    }
+
+    /// Flat charts of the triangles that have none, named as in the caller's mesh.
+    pub(super) fn flatten_loose(
+        &self,
+        change: &SurfaceChange,
+    ) -> Result<Vec<FlatChart>, StreamError> {
+        if change.loose.is_empty() {
+            return Ok(Vec::new());
+        }
+        let part = chart_mesh(&change.mesh, &change.loose);
+        let params = &self.params;
+        let flat = flatten::flatten(&part, &params.flatten)?;
+        let (charts, _) = overlap::separate(&part, flat.charts, &params.overlap);
+        let (mut charts, _) = flatten::absorb(&part, &flat.manifold, charts, &params.flatten);
+        for triangle in charts.iter_mut().flat_map(|chart| &mut chart.triangles) {
+            *triangle = change.loose[triangle.index()];
+        }
+        Ok(charts)
+    }
+
+    /// Builds mesh and layout from the charts, in their order.
+    pub(super) fn lay_out(&mut self, change: &mut SurfaceChange) {
+        let mut triangles = Vec::with_capacity(change.mesh.num_triangles());
+        for (chart, members) in self.charts.iter_mut().zip(&change.members) {
+            chart.piece.chart.triangles = triangles_from(triangles.len(), members.len());
+            triangles.extend(members.iter().map(|&member| change.corners(member)));
+        }
+        // All are triangles of the mesh given: nothing is refused or left out.
+        self.mesh = TriMesh::from_soup(change.mesh.positions_m().to_vec(), triangles)
+            .map(|(mesh, _)| mesh)
+            .unwrap_or_default();
+        self.runs = MeshRuns::new(&self.mesh);
+        for (chart, dirt) in self.charts.iter_mut().zip(&mut change.dirt) {
+            if dirt.is_fresh || dirt.is_moved() {
+                let triangles = chart.piece.chart.triangles.iter().copied();
+                chart.bounds = BoundingBox::of(&self.mesh, triangles);
+                chart.table = CandidateTable::new(chart.len(), 0);
+                dirt.has_new_scores = true;
+            }
+        }
+        let num_triangles = self.mesh.num_triangles();
+        self.layout = layout_of(&self.charts, self.placer.as_ref(), num_triangles);
+    }
+}
+
+fn after(triangle: TriangleId, old: OldTriangle, is_moved: bool) -> Successor {
+    Successor {
+        member: Member {
+            triangle,
+            first_corner: old.first_corner,
+        },
+        is_moved,
+    }
+}
+
+impl SurfaceChange {
+    /// Vertices of a member, from its first corner on.
+    fn corners(&self, member: Member) -> [u32; 3] {
+        let mut corners = self.mesh.triangles()[member.triangle.index()];
+        corners.rotate_left(member.first_corner as usize);
+        corners
+    }
+
+    fn corners_m(&self, member: Member) -> [Point3<f64>; 3] {
+        self.corners(member)
+            .map(|vertex| self.mesh.positions_m()[vertex as usize])
+    }
+
+    /// Adds a chart that stays.
+    fn adopt(&mut self, chart: &StreamChart, after: &[Successor]) {
+        let mut dirt = Dirt::default();
+        if after.iter().any(|successor| successor.is_moved) {
+            dirt.moved = after.iter().map(|successor| successor.is_moved).collect();
+        }
+        debug_assert_eq!(chart.len(), after.len(), "a successor per triangle");
+        self.members.push(after.iter().map(|s| s.member).collect());
+        self.dirt.push(dirt);
+    }
+
+    /// Adds a new chart of triangles of `mesh`.
+    pub(super) fn add_fresh(&mut self, triangles: &[TriangleId]) {
+        let member = |&triangle: &TriangleId| Member {
+            triangle,
+            first_corner: 0,
+        };
+        self.members.push(triangles.iter().map(member).collect());
+        self.dirt.push(Dirt {
+            is_fresh: true,
+            ..Dirt::default()
+        });
+    }
+
+    /// The mesh as it is now.
+    pub(super) fn mesh(&self) -> &TriMesh {
+        &self.mesh
+    }
+}

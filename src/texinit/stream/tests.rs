@@ -1,0 +1,259 @@
+#![expect(
+    clippy::cast_possible_truncation,
+    reason = "the numbers of a test are small"
+)]
+
+mod scan;
+
+use rayon::prelude::*;
+
+use super::*;
+use crate::atlas::{AtlasTexture, PackParams, TexelSource, num_shared_texels};
+use crate::texinit::assign::AssignParams;
+use crate::texinit::flatten::FlattenParams;
+use crate::texinit::{Repainted, repaint};
+use scan::{Draw, Scan, Silent};
+
+fn texinit_params() -> TexInitParams {
+    TexInitParams {
+        flatten: FlattenParams {
+            max_chart_triangles: 40,
+            min_chart_triangles: 4,
+            absorb_below_triangles: 6,
+            ..FlattenParams::default()
+        },
+        pack: PackParams {
+            page_size_texel: 64,
+            gutter_texel: 1,
+            max_texels: 64 * 64 * 64,
+        },
+        density: crate::texinit::density::DensityParams {
+            texels_per_m: 24.0,
+            ..Default::default()
+        },
+        ..TexInitParams::default()
+    }
+}
+
+fn stream_params() -> StreamParams {
+    StreamParams {
+        remake_below_triangles: 8,
+        page_size_texel: 64,
+        ..StreamParams::default()
+    }
+}
+
+fn batch(state: &StreamInit, scan: &Scan, params: &TexInitParams) -> Repainted {
+    let params = TexInitParams {
+        coupling: Coupling::Chart,
+        ..params.clone()
+    };
+    let decode = |keyframe: &Keyframe| scan.decode(keyframe);
+    let (mesh, layout) = (state.mesh(), state.layout());
+    repaint(mesh, layout, &scan.frames(), &decode, &params, &Silent).unwrap()
+}
+
+fn update(state: &mut StreamInit, scan: &Scan) -> StreamUpdate {
+    let decode = |keyframe: &Keyframe| scan.decode(keyframe);
+    state
+        .update(&scan.mesh(), &scan.frames(), &decode, &Silent)
+        .unwrap()
+}
+
+/// Labels and texels are those of the whole at once; no two triangles own a texel.
+fn check_equality(state: &StreamInit, scan: &Scan, params: &TexInitParams) {
+    assert_eq!(state.mesh().num_triangles(), scan.mesh().num_triangles());
+    assert_eq!(num_shared_texels(state.layout()), 0);
+    let batch = batch(state, scan, params);
+    let frames = scan.frames();
+    let number = |frame: &Option<u32>| frame.map(|frame| frames[frame as usize].id.0);
+    let expected: Vec<Option<u32>> = batch.assignment.label.iter().map(number).collect();
+    let assignment = state.assignment();
+    assert_eq!(assignment.label, expected);
+    assert_eq!(
+        assignment.is_partly_hidden,
+        batch.assignment.is_partly_hidden
+    );
+    assert_eq!(assignment.num_views, batch.assignment.num_views);
+    let pages = state.texture().pages.iter().zip(&batch.texture.pages);
+    assert_eq!(state.texture().pages.len(), batch.texture.pages.len());
+    for (page, (ours, theirs)) in pages.enumerate() {
+        for index in 0..ours.srgb.len() {
+            let texel = |page: &crate::atlas::TexturePage| {
+                (page.srgb[index], page.source[index], page.confidence[index])
+            };
+            let (x, y) = (index % 64, index / 64);
+            assert_eq!(texel(ours), texel(theirs), "page {page}, texel ({x}, {y})");
+        }
+    }
+}
+
+/// What was not announced is as it was, but for what gone charts left blank.
+fn check_announced(before: &AtlasTexture, state: &StreamInit, update: &StreamUpdate) {
+    if update.has_new_pages {
+        return;
+    }
+    for (number, (old, new)) in before.pages.iter().zip(&state.texture().pages).enumerate() {
+        for index in 0..old.srgb.len() {
+            let is_same = old.srgb[index] == new.srgb[index]
+                && old.source[index] == new.source[index]
+                && old.confidence[index] == new.confidence[index];
+            let (x, y) = ((index % 64) as u32, (index / 64) as u32);
+            let is_told = update.dirty_rects.iter().any(|(page, rect)| {
+                *page as usize == number
+                    && (rect.x..rect.x + rect.width).contains(&x)
+                    && (rect.y..rect.y + rect.height).contains(&y)
+            });
+            let is_blank = new.source[index] == TexelSource::NONE && new.srgb[index] == [0; 3];
+            assert!(is_same || is_told || is_blank, "page {number}, ({x}, {y})");
+        }
+    }
+}
+
+/// A random sequence of changes, compared with the whole after each.
+fn run(seed: u64, num_steps: usize, params: &TexInitParams, stream: &StreamParams) -> [usize; 4] {
+    let mut scan = Scan::new(seed);
+    let mut draw = Draw(seed);
+    let mut state = StreamInit::new(params, stream).unwrap();
+    let mut num_seen = [0; 4];
+    for _ in 0..num_steps {
+        scan.change(&mut draw);
+        let before = state.texture().clone();
+        let update = update(&mut state, &scan);
+        check_equality(&state, &scan, params);
+        check_announced(&before, &state, &update);
+        num_seen[0] += update.mesh.num_moved;
+        num_seen[1] += update.mesh.num_gone;
+        num_seen[2] += update.num_frames_removed + update.num_frames_moved;
+        num_seen[3] += state.charts.len() - update.new_charts.len() - update.changed_charts.len();
+    }
+    num_seen
+}
+
+#[test]
+fn any_sequence_of_changes_gives_the_batch() {
+    let (params, stream) = (texinit_params(), stream_params());
+    let seen: Vec<[usize; 4]> = (0..200_u64)
+        .into_par_iter()
+        .map(|seed| run(seed, 5, &params, &stream))
+        .collect();
+    // Of every kind there was some.
+    for kind in 0..4 {
+        assert!(seen.iter().map(|seen| seen[kind]).sum::<usize>() > 100);
+    }
+}
+
+#[test]
+fn other_forms_give_their_batch_too() {
+    let base = texinit_params();
+    let forms = [
+        TexInitParams {
+            assign: AssignParams {
+                pairwise: None,
+                color_cue: ColorCue::ValidForTriangle,
+                ..AssignParams::default()
+            },
+            has_gutters: false,
+            ..base.clone()
+        },
+        TexInitParams {
+            transfer: crate::texinit::transfer::TransferParams {
+                mode: crate::texinit::transfer::TransferMode::L2Avg,
+                ..Default::default()
+            },
+            ..base.clone()
+        },
+        // The density is taken from the images.
+        TexInitParams {
+            density: crate::texinit::density::DensityParams {
+                max_texels_per_m: 40.0,
+                ..Default::default()
+            },
+            ..base
+        },
+    ];
+    forms.par_iter().for_each(|params| {
+        for seed in 300..306 {
+            run(seed, 5, params, &stream_params());
+        }
+    });
+}
+
+#[test]
+fn a_scan_that_outgrows_its_budget_is_made_sparser() {
+    let mut params = texinit_params();
+    params.pack.max_texels = 64 * 64;
+    let mut scan = Scan::new(5);
+    scan.show_all();
+    scan.hide_right_of(0.0);
+    let mut state = StreamInit::new(&params, &stream_params()).unwrap();
+    update(&mut state, &scan);
+    assert_eq!(state.layout().texels_per_m, 24.0);
+    let before: Vec<StreamChartId> = state.chart_ids().collect();
+    scan.show_all();
+    let grown = update(&mut state, &scan);
+    assert!(state.layout().texels_per_m < 24.0);
+    assert_eq!(state.layout().num_pages, 1);
+    assert!(grown.has_new_pages);
+    assert_eq!(grown.gone_charts, before);
+    check_equality(&state, &scan, &params);
+}
+
+#[test]
+fn pages_are_compacted_when_the_scan_shrinks() {
+    let (params, stream) = (texinit_params(), stream_params());
+    let mut scan = Scan::new(9);
+    scan.show_all();
+    let mut state = StreamInit::new(&params, &stream).unwrap();
+    update(&mut state, &scan);
+    let num_pages = state.layout().num_pages;
+    let mut num_closed = 0;
+    for step in 0..12 {
+        scan.hide_right_of(1.3 - 0.2 * f64::from(step));
+        let update = update(&mut state, &scan);
+        num_closed += usize::from(update.has_new_pages);
+        check_equality(&state, &scan, &params);
+        assert!(state.layout().num_pages <= 1 || state.used_share() > 0.3);
+    }
+    assert!(num_closed > 0 && state.layout().num_pages < num_pages);
+}
+
+#[test]
+fn nothing_new_changes_nothing() {
+    let (params, stream) = (texinit_params(), stream_params());
+    let mut scan = Scan::new(3);
+    let mut draw = Draw(3);
+    for _ in 0..4 {
+        scan.change(&mut draw);
+    }
+    let mut state = StreamInit::new(&params, &stream).unwrap();
+    update(&mut state, &scan);
+    let before = state.texture().clone();
+    let again = update(&mut state, &scan);
+    assert_eq!(*state.texture(), before);
+    let nothing = StreamUpdate {
+        mesh: DiffCounts {
+            num_kept: state.mesh().num_triangles(),
+            ..DiffCounts::default()
+        },
+        ..StreamUpdate::default()
+    };
+    assert_eq!(again, nothing);
+}
+
+#[test]
+fn an_empty_scan_and_bad_settings() {
+    let (params, stream) = (texinit_params(), stream_params());
+    let mut state = StreamInit::new(&params, &stream).unwrap();
+    let decode = |_: &Keyframe| Err(crate::geom::ImageError::Encoding("none".to_owned()));
+    let empty = Arc::new(TriMesh::default());
+    let update = state.update(&empty, &[], &decode, &Silent).unwrap();
+    assert_eq!(update, StreamUpdate::default());
+    let refused = StreamInit::new(&TexInitParams::paper(), &stream);
+    assert!(matches!(refused, Err(StreamError::Unsupported(_))));
+    let scan = Scan::new(1);
+    let mut frames = scan.frames();
+    frames.extend(scan.frames());
+    let refused = state.update(&scan.mesh(), &frames, &decode, &Silent);
+    assert!(matches!(refused, Err(StreamError::FrameOrder(_))));
+}
