@@ -10,6 +10,7 @@
 //! what [`super::run()`] makes of the same events with no keyframe held back.
 
 mod latest;
+mod resume;
 
 use std::sync::Arc;
 
@@ -25,6 +26,7 @@ use crate::keyframe::{Keyframe, KeyframeParams, KeyframeReport, KeyframeStore};
 use crate::mesh::TriMesh;
 
 pub use latest::Latest;
+pub use resume::EarlierScan;
 
 /// What there is of a scan at one moment.
 #[derive(Clone, Debug)]
@@ -78,7 +80,7 @@ impl LiveScan {
         let keyframe = KeyframeParams {
             // The painter decodes, and has the cache.
             decode_cache_mb: 0.0,
-            ..params.keyframe.clone()
+            ..params.memory.applied_to(params).keyframe
         };
         Self {
             assembler: Assembler::new(&params.ingest, topics),
@@ -219,6 +221,7 @@ impl Painter {
         progress: &dyn Progress,
     ) -> Result<Painted, PipelineError> {
         let clock = StageClock::new(progress);
+        let params = &params.memory.applied_to(params);
         let Some(mesh) = capture.mesh.as_ref().filter(|m| m.num_triangles() > 0) else {
             return Err(PipelineError::NoMesh("none has arrived".to_owned()));
         };
@@ -230,7 +233,7 @@ impl Painter {
         let (mesh, num_welded_vertices) = prepared_mesh(mesh, params)?;
         let store = self.cache.take();
         let store = store.unwrap_or_else(|| KeyframeStore::new(&params.keyframe));
-        let scan = Scan::new(mesh, &capture, num_welded_vertices, store);
+        let scan = Scan::new(mesh, &capture, num_welded_vertices, store, params);
         let textured = texture_scan(&scan, &capture.keyframes, params, &clock);
         let (mesh, store) = scan.into_parts();
         self.cache = Some(store);
