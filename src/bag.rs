@@ -8,6 +8,7 @@ mod chunk;
 pub mod error;
 mod index;
 pub mod info;
+pub mod journal;
 mod mapped;
 mod peek;
 pub mod reader;

@@ -9,6 +9,7 @@
 mod clock;
 mod held_out;
 pub mod live;
+pub mod memory;
 mod pose_noise;
 mod pose_rounds;
 pub mod progress;
@@ -20,7 +21,8 @@ pub mod texture;
 
 pub use clock::StageClock;
 pub use held_out::{HeldOutParams, HeldOutView};
-pub use live::{Capture, Latest, LiveScan, Painted, Painter};
+pub use live::{Capture, EarlierScan, Latest, LiveScan, Painted, Painter};
+pub use memory::{MemoryParams, MemoryPlan};
 pub use pose_noise::with_pose_noise;
 pub use pose_rounds::PoseReport;
 pub use progress::{NoProgress, Progress};

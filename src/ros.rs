@@ -23,6 +23,7 @@ mod graph;
 mod http;
 pub mod inbox;
 pub mod inputs;
+mod journal;
 pub mod lifecycle;
 mod monitor;
 pub mod names;

@@ -9,6 +9,7 @@ use std::ops::Range;
 pub(super) const MAGIC: &[u8] = b"\x89MCAP0\r\n";
 
 pub(super) mod op {
+    pub(in crate::bag) const HEADER: u8 = 0x01;
     pub(in crate::bag) const FOOTER: u8 = 0x02;
     pub(in crate::bag) const SCHEMA: u8 = 0x03;
     pub(in crate::bag) const CHANNEL: u8 = 0x04;

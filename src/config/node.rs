@@ -55,6 +55,10 @@ pub struct NodeParams {
     pub publish_depth: usize,
     /// Time between two diagnostics, seconds, > 0.
     pub diagnostics_period_s: f64,
+    /// Where the journal of the scan is; `None`: none is kept.
+    pub journal_path: Option<String>,
+    /// Least time between two meshes in the journal, seconds, ≥ 0.
+    pub journal_mesh_period_s: f64,
     /// The folder that `~/save` and `~/load` are confined to.
     pub save_folder: Option<String>,
     /// What is saved when the process is told to stop; `None`: nothing.
@@ -81,6 +85,8 @@ impl Default for NodeParams {
             publish_rate_mb: 10.0,
             publish_depth: 256,
             diagnostics_period_s: 1.0,
+            journal_path: None,
+            journal_mesh_period_s: 2.0,
             save_folder: None,
             save_on_shutdown: None,
             http_port: 0,

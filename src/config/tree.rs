@@ -90,6 +90,13 @@ pub const PARAMETERS: &[Parameter] = &[
         Float(|c| &mut c.pipeline.keyframe.max_mean_luma, 0.0, 1.0)),
     row("keyframe.max_clipped", "", "Frames with a larger share of clipped pixels are refused.",
         Float(|c| &mut c.pipeline.keyframe.max_clipped, 0.0, 1.0)),
+    row("keyframe.journal_path", "", "File (.mcap) from which the node goes on after it has ended, however it ended; empty keeps none.",
+        Text(|c| &mut c.node.journal_path)),
+    row("keyframe.journal_mesh_period", "s", "Least time between two meshes in the journal.",
+        Float(|c| &mut c.node.journal_mesh_period_s, 0.0, 3600.0)),
+
+    row("memory.budget_mb", "MB", "All that a scan keeps in memory: images, decoded images, score tables, mesh, atlas; lowers the limits of each. 0: each has its own limit alone.",
+        Access::Custom { range: "0, 128 ..= 1000000", set: set_memory_budget, get: memory_budget }),
 
     row("mesh.weld_tolerance_m", "m", "Vertices closer than this are one; 0 joins only those of equal position.",
         Float(|c| &mut c.pipeline.weld_tolerance_m, 0.0, 1.0)),
@@ -567,6 +574,19 @@ fn relative_tolerance(config: &Config) -> String {
         .unwrap_or_default()
         .relative_tolerance
         .to_string()
+}
+
+fn set_memory_budget(config: &mut Config, text: &str) -> Option<()> {
+    let budget_mb: f64 = text.parse().ok()?;
+    if budget_mb != 0.0 && !(128.0..=1e6).contains(&budget_mb) {
+        return None;
+    }
+    config.pipeline.memory.budget_mb = budget_mb;
+    Some(())
+}
+
+fn memory_budget(config: &Config) -> String {
+    config.pipeline.memory.budget_mb.to_string()
 }
 
 fn set_max_texels(config: &mut Config, text: &str) -> Option<()> {

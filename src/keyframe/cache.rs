@@ -124,6 +124,17 @@ impl DecodeCache {
         }
     }
 
+    /// Drops depth images last, as they save most decoding for their bytes.
+    pub(super) fn set_max_bytes(&mut self, max_bytes: usize) {
+        self.max_bytes = max_bytes;
+        let mut state = lock(&self.state);
+        while state.num_bytes > max_bytes
+            && let Some(id) = state.largest()
+        {
+            state.remove(id);
+        }
+    }
+
     pub(super) fn remove(&self, id: KeyframeId) {
         lock(&self.state).remove(id);
     }
@@ -191,6 +202,12 @@ impl State {
             .min_by_key(|(_, entry)| entry.last_read)?;
         let stale_before = STALE_ROUNDS * (self.entries.len() as u64).max(8);
         (self.num_reads - entry.last_read > stale_before).then_some(*id)
+    }
+
+    /// Of equals the newest.
+    fn largest(&self) -> Option<KeyframeId> {
+        let largest = self.entries.iter().max_by_key(|(_, entry)| entry.num_bytes);
+        largest.map(|(id, _)| *id)
     }
 
     fn remove(&mut self, id: KeyframeId) {

@@ -5,7 +5,7 @@ use crate::geom::{CameraModel, EncodedColor, RigidTransform, Stamp};
 pub use crate::geom::FrameDepth as KeyframeDepth;
 
 /// Number of a keyframe in the order of admission; never reused.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct KeyframeId(pub u32);
 
 /// What a frame's pixels say of its worth.
@@ -37,4 +37,12 @@ pub struct Keyframe {
     pub depth: Option<KeyframeDepth>,
     /// What its pixels say of its worth.
     pub quality: FrameQuality,
+}
+
+impl Keyframe {
+    /// Bytes of its encoded images.
+    pub fn num_bytes(&self) -> usize {
+        let half = self.depth.as_ref();
+        self.color.bytes().len() + half.map_or(0, |half| half.image.bytes().len())
+    }
 }

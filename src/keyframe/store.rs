@@ -73,6 +73,8 @@ pub struct KeyframeReport {
     pub num_offered: u64,
     /// Frames kept, replacements among them.
     pub num_admitted: u64,
+    /// Keyframes of an earlier run that were taken up again.
+    pub num_restored: u64,
     /// Keyframes that a sharper one replaced.
     pub num_replaced: u64,
     /// Keyframes dropped for room.
@@ -154,6 +156,38 @@ impl KeyframeStore {
         admission
     }
 
+    /// Takes a keyframe of an earlier run as it is, its number included; the most redundant go
+    /// where the budget is smaller than it was.
+    pub fn restore(&mut self, keyframe: Arc<Keyframe>) {
+        self.remove(keyframe.id);
+        let half = keyframe.depth.as_ref();
+        let depth = half.and_then(|half| half.image.decode().ok());
+        let frame = PosedFrame {
+            stamp: keyframe.stamp,
+            world_from_camera: keyframe.world_from_camera,
+            color: keyframe.color.clone(),
+            color_camera: keyframe.color_camera,
+            depth: keyframe.depth.clone(),
+        };
+        let view = View::new(&frame, depth.as_ref());
+        let num_bytes = keyframe.num_bytes();
+        self.reserve_ids(KeyframeId(keyframe.id.0.saturating_add(1)));
+        self.selector.note_kept(keyframe.stamp);
+        self.report.num_restored += 1;
+        self.place(keyframe, view, num_bytes);
+        while self.report.num_bytes > self.budget_bytes
+            && let Some(evicted) = self.most_redundant(None)
+        {
+            self.remove(evicted);
+            self.report.num_evicted += 1;
+        }
+    }
+
+    /// No later keyframe has a number below `next_id`.
+    pub fn reserve_ids(&mut self, next_id: KeyframeId) {
+        self.next_id = self.next_id.max(next_id.0);
+    }
+
     /// The keyframes, by id.
     pub fn keyframes(&self) -> impl Iterator<Item = &Arc<Keyframe>> {
         self.stored.values().map(|stored| &stored.keyframe)
@@ -175,6 +209,11 @@ impl KeyframeStore {
     /// [`ImageError`] when an image does not decode.
     pub fn decode(&self, keyframe: &Keyframe) -> Result<Arc<DecodedFrame>, ImageError> {
         self.cache.get_or_decode(keyframe)
+    }
+
+    /// Keeps at most this many bytes of decoded frames from now on.
+    pub fn set_decode_cache_bytes(&mut self, max_bytes: usize) {
+        self.cache.set_max_bytes(max_bytes);
     }
 
     /// Bytes of encoded images held.
@@ -270,27 +309,16 @@ impl KeyframeStore {
         }
         let id = KeyframeId(self.next_id);
         let stamp = frame.stamp;
-        self.link(&view);
-        let num_shown_by = self.num_shown_by(&view);
-        self.stored.insert(
+        let keyframe = Keyframe {
             id,
-            Stored {
-                keyframe: Arc::new(Keyframe {
-                    id,
-                    stamp,
-                    world_from_camera: frame.world_from_camera,
-                    color: frame.color,
-                    color_camera: frame.color_camera,
-                    depth: frame.depth,
-                    quality,
-                }),
-                view,
-                num_shown_by,
-                num_bytes,
-            },
-        );
-        self.report.num_bytes += num_bytes;
-        self.report.peak_bytes = self.report.peak_bytes.max(self.report.num_bytes);
+            stamp,
+            world_from_camera: frame.world_from_camera,
+            color: frame.color,
+            color_camera: frame.color_camera,
+            depth: frame.depth,
+            quality,
+        };
+        self.place(Arc::new(keyframe), view, num_bytes);
         // A sharper image of a view that was worth keeping stays.
         let spared = replaced.map(|_| id);
         while self.report.num_bytes > self.budget_bytes {
@@ -309,6 +337,20 @@ impl KeyframeStore {
             Some(replaced) => Admission::Replaced { id, replaced },
             None => Admission::Kept(id),
         })
+    }
+
+    fn place(&mut self, keyframe: Arc<Keyframe>, view: View, num_bytes: usize) {
+        self.link(&view);
+        let num_shown_by = self.num_shown_by(&view);
+        let stored = Stored {
+            keyframe: Arc::clone(&keyframe),
+            view,
+            num_shown_by,
+            num_bytes,
+        };
+        self.stored.insert(keyframe.id, stored);
+        self.report.num_bytes += num_bytes;
+        self.report.peak_bytes = self.report.peak_bytes.max(self.report.num_bytes);
     }
 
     /// Counts a new view at the views that it shows.

@@ -11,6 +11,7 @@
 //! what [`super::run()`] makes of the same events with no keyframe held back.
 
 mod latest;
+mod resume;
 
 use std::sync::Arc;
 
@@ -29,6 +30,7 @@ use crate::mesh::TriMesh;
 use crate::texinit::stream::StreamUpdate;
 
 pub use latest::Latest;
+pub use resume::EarlierScan;
 
 /// What there is of a scan at one moment.
 #[derive(Clone, Debug)]
@@ -82,7 +84,7 @@ impl LiveScan {
         let keyframe = KeyframeParams {
             // The painter decodes, and has the cache.
             decode_cache_mb: 0.0,
-            ..params.keyframe.clone()
+            ..params.memory.applied_to(params).keyframe
         };
         Self {
             assembler: Assembler::new(&params.ingest, topics),
@@ -235,6 +237,7 @@ impl Painter {
             return self.paint_changes(capture, params, progress);
         }
         let clock = StageClock::new(progress);
+        let params = &params.memory.applied_to(params);
         let Some(mesh) = capture.mesh.as_ref().filter(|m| m.num_triangles() > 0) else {
             return Err(PipelineError::NoMesh("none has arrived".to_owned()));
         };
@@ -246,7 +249,7 @@ impl Painter {
         let (mesh, num_welded_vertices) = prepared_mesh(mesh, params)?;
         let store = self.cache.take();
         let store = store.unwrap_or_else(|| KeyframeStore::new(&params.keyframe));
-        let scan = Scan::new(mesh, &capture, num_welded_vertices, store);
+        let scan = Scan::new(mesh, &capture, num_welded_vertices, store, params);
         let textured = texture_scan(&scan, &capture.keyframes, params, &clock);
         let (mesh, store) = scan.into_parts();
         self.cache = Some(store);

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use super::clock::StageClock;
 use super::held_out::{self, HeldOutParams, HeldOutView};
+use super::memory::{MemoryParams, MemoryPlan};
 use super::progress::Progress;
 use super::refine::{RefineParams, RefineReport};
 use super::scan::gather;
@@ -42,6 +43,8 @@ pub struct PipelineParams {
     pub smooth_from: Option<Arc<Vec<u8>>>,
     /// What is held back to judge the result.
     pub held_out: HeldOutParams,
+    /// The budget over everything that is kept in memory.
+    pub memory: MemoryParams,
 }
 
 /// Why a run ended without a texture.
@@ -110,6 +113,8 @@ pub struct Run {
     pub num_mesh_updates: usize,
     /// Vertices that welding merged into others.
     pub num_welded_vertices: usize,
+    /// How memory was divided.
+    pub memory: MemoryPlan,
     /// Wall times, in order.
     pub stages: Vec<StageTime>,
 }
@@ -126,6 +131,7 @@ pub fn run(
     progress: &dyn Progress,
 ) -> Result<Run, PipelineError> {
     let clock = StageClock::new(progress);
+    let params = &params.memory.applied_to(params);
     let mut scan = gather(source, params, &clock)?;
     let keyframes = std::mem::take(&mut scan.keyframes);
     let (painting, judging) = held_out::split(keyframes, &params.held_out);
@@ -147,6 +153,7 @@ pub fn run(
     );
 
     Ok(Run {
+        memory: scan.memory,
         store: scan.store_report().clone(),
         mesh: scan.mesh,
         keyframes,

@@ -8,6 +8,7 @@ use rayon::prelude::*;
 
 use super::clock::StageClock;
 use super::live::Capture;
+use super::memory::MemoryPlan;
 use super::run::{PipelineError, PipelineParams};
 use crate::geom::{ImageError, PosedFrame, Stamp};
 use crate::ingest::{Assembled, Assembler, EventSource, IngestReport};
@@ -31,6 +32,8 @@ pub struct Scan {
     pub num_mesh_updates: usize,
     /// Vertices that welding merged into others.
     pub num_welded_vertices: usize,
+    /// How memory is divided.
+    pub memory: MemoryPlan,
     store: KeyframeStore,
 }
 
@@ -40,9 +43,11 @@ impl Scan {
         mesh: TriMesh,
         capture: &Capture,
         num_welded_vertices: usize,
-        store: KeyframeStore,
+        mut store: KeyframeStore,
+        params: &PipelineParams,
     ) -> Self {
         Self {
+            memory: divide_memory(&mut store, &capture.keyframes, &mesh, params),
             mesh,
             keyframes: capture.keyframes.clone(),
             ingest: capture.ingest.clone(),
@@ -86,7 +91,7 @@ pub fn gather(
 ) -> Result<Scan, PipelineError> {
     clock.begin("read and select frames", 0);
     let Received {
-        store,
+        mut store,
         mesh,
         num_mesh_updates,
         duration_s,
@@ -102,7 +107,9 @@ pub fn gather(
 
     clock.begin("weld the mesh", 0);
     let (mesh, num_welded_vertices) = prepared_mesh(&mesh, params)?;
+    let memory = divide_memory(&mut store, &keyframes, &mesh, params);
     Ok(Scan {
+        memory,
         mesh,
         keyframes,
         ingest,
@@ -111,6 +118,25 @@ pub fn gather(
         num_welded_vertices,
         store,
     })
+}
+
+/// Gives the decoded images what the budget leaves them, now that the rest is known.
+fn divide_memory(
+    store: &mut KeyframeStore,
+    keyframes: &[Arc<Keyframe>],
+    mesh: &TriMesh,
+    params: &PipelineParams,
+) -> MemoryPlan {
+    let num_bytes = keyframes.iter().map(|keyframe| keyframe.num_bytes()).sum();
+    let plan = params
+        .memory
+        .plan(params, num_bytes, keyframes.len(), mesh.num_triangles());
+    set_decode_cache(store, &plan);
+    plan
+}
+
+fn set_decode_cache(store: &mut KeyframeStore, plan: &MemoryPlan) {
+    store.set_decode_cache_bytes(usize::try_from(plan.decode_cache).unwrap_or(usize::MAX));
 }
 
 /// The mesh as it is painted, welded and subdivided, and how many vertices welding merged into
@@ -148,6 +174,7 @@ fn receive(
         is_at_end: false,
     };
     let mut store = KeyframeStore::new(&params.keyframe);
+    set_decode_cache(&mut store, &params.memory.first_plan(params));
     let mut mesh = None;
     let mut num_mesh_updates = 0;
     let mut batch = reader.next_batch();

@@ -1,6 +1,7 @@
 //! The publisher against readers: ours, one that does as rviz2 does, one that reads GLB files.
 
 mod bounds;
+mod deltas;
 mod made;
 mod mirrors;
 mod viewers;

@@ -138,7 +138,7 @@ impl Control {
         let loaded = files::confined(folder, path)
             .and_then(|place: PathBuf| Ok((files::load_session(&place)?, place)));
         let (session, place) = loaded.map_err(|error| error.to_string())?;
-        let num_items = session.assembled.len();
+        let num_items = session.num_items();
         self.engine.load(session).ok_or("the node is stopping")?;
         Ok(format!(
             "{num_items} frames and meshes from {}",

@@ -16,6 +16,7 @@ use crate::wire::{DiagnosticArray, Message, TopicRole, WireHeader};
 use super::engine::PaintStatus;
 use super::inbox::TopicCounts;
 use super::inputs::Input;
+use super::journal::{self, JournalStatus};
 use super::lifecycle::State;
 use super::output::OutputCounts;
 
@@ -95,6 +96,8 @@ pub(super) struct Observation<'a> {
     pub(super) socket_remedy: Option<&'a str>,
     /// Bytes that wait to be decoded.
     pub(super) queue_bytes: usize,
+    /// `None` where no journal is kept.
+    pub(super) journal: Option<&'a JournalStatus>,
 }
 
 /// Judges every part.
@@ -106,6 +109,7 @@ pub(super) fn findings(seen: &Observation<'_>) -> Vec<Finding> {
         findings.push(keyframes(capture));
     }
     findings.push(painting(seen));
+    findings.extend(seen.journal.map(journal::finding));
     findings.push(outputs(seen));
     findings.push(process(seen));
     findings
@@ -567,6 +571,7 @@ mod tests {
             memory_bytes: 0,
             socket_remedy: None,
             queue_bytes: 0,
+            journal: None,
         }
     }
 

@@ -18,6 +18,7 @@ use super::error::NodeError;
 use super::files::Session;
 use super::inbox::Inbox;
 use super::inputs::Input;
+use super::journal::{JournalSlot, JournalThread};
 use super::source::{LiveSource, Polled};
 
 /// How long ingest sleeps at a time.
@@ -94,6 +95,7 @@ pub(super) struct Shared {
     refine: AtomicBool,
     num_resets: AtomicU64,
     first_session: u64,
+    pub(super) journal: Arc<JournalSlot>,
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
@@ -104,6 +106,7 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 impl Shared {
     /// `session` differs from that of any run of the node before.
     pub(super) fn new(config: Config, inbox: Arc<Inbox>, session: u64) -> Self {
+        let journal = JournalSlot::new(config.node.journal_path.as_deref());
         Self {
             config: RwLock::new(config),
             inbox,
@@ -116,6 +119,7 @@ impl Shared {
             refine: AtomicBool::new(false),
             num_resets: AtomicU64::new(0),
             first_session: session,
+            journal: Arc::new(journal),
         }
     }
 
@@ -256,8 +260,8 @@ struct Ingest<'a> {
 }
 
 fn ingest(shared: &Shared, source: LiveSource, orders: &Receiver<Order>) {
-    let params = shared.config().pipeline;
-    let scan = LiveScan::new(&params, source.topics(), 0);
+    let config = shared.config();
+    let scan = LiveScan::new(&config.pipeline, source.topics(), 0);
     let mut ingest = Ingest {
         shared,
         source,
@@ -265,6 +269,12 @@ fn ingest(shared: &Shared, source: LiveSource, orders: &Receiver<Order>) {
         last_event: None,
         viewed: None,
     };
+    let mesh_period = Duration::from_secs_f64(config.node.journal_mesh_period_s);
+    let (_journal, earlier) = JournalThread::start(Arc::clone(&shared.journal), mesh_period);
+    if let Some(earlier) = earlier {
+        ingest.scan.resume(earlier);
+        ingest.hand_on();
+    }
     loop {
         match ingest.source.poll(POLL) {
             Polled::Event(event) => ingest.push(*event),
@@ -289,6 +299,7 @@ impl Ingest<'_> {
 
     fn hand_on(&self) {
         let capture = self.scan.capture();
+        self.shared.journal.put(&capture, self.shared.num_resets());
         if capture.is_paintable() {
             self.shared.captures.put(capture);
         }
@@ -321,7 +332,15 @@ impl Ingest<'_> {
             }
             Order::Load(session, done) => {
                 self.reset();
-                self.scan.adopt(session.assembled, session.world_frame);
+                match *session {
+                    Session::Exact(scan) => self.scan.resume(scan),
+                    Session::Recorded {
+                        assembled,
+                        world_frame,
+                    } => {
+                        self.scan.adopt(assembled, world_frame);
+                    }
+                }
                 self.hand_on();
                 done.send(()).ok();
             }
@@ -337,6 +356,7 @@ impl Ingest<'_> {
         self.last_event = None;
         *lock(&self.shared.last_painted) = None;
         self.shared.num_resets.fetch_add(1, Ordering::Relaxed);
+        self.hand_on();
     }
 
     /// Lets diagnostics see the scan.

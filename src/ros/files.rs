@@ -1,18 +1,21 @@
 //! Saving and loading, within one folder.
 //!
-//! The ending says what: `.mcap` a session, which is a bag of the kept frames at their poses and of
-//! the mesh, and can be loaded or replayed; `.glb`, `.obj`, `.ply` the textured mesh. Paths come
-//! from peers: they are relative, go down only, and pass no link.
+//! The ending says what: `.mcap` a session, which is a journal of the kept frames at their poses and
+//! of the mesh, and can be loaded (to the bit) or replayed; `.glb`, `.obj`, `.ply` the textured mesh.
+//! Other recordings are loaded too, their frames selected anew. Paths come from peers: they are
+//! relative, go down only, and pass no link.
 
 use std::path::{Component, Path, PathBuf};
 
-use crate::bag::scan_writer::{ScanTopics, ScanWriter};
-use crate::bag::{BagError, BagReader, Compression, TopicRoles};
+use crate::bag::journal::{self, Found, Journal, JournalError, PathDisk};
+use crate::bag::{BagError, BagReader, TopicRoles};
 use crate::export::{
     EncodedPages, ExportError, ExportParams, TexturedMesh, glb, write_all, write_atomic,
 };
-use crate::ingest::{Assembled, Assembler, EventSource, IngestParams, MeshUpdate};
-use crate::pipeline::{Capture, Painted};
+use crate::ingest::{Assembled, Assembler, EventSource, IngestParams};
+use crate::pipeline::{Capture, EarlierScan, Painted};
+
+use super::journal::{earlier_scan, scan_state};
 
 /// Longest path that a peer may give, bytes.
 const MAX_PATH_BYTES: usize = 1000;
@@ -42,9 +45,12 @@ pub enum FileError {
         /// The system's words.
         source: std::io::Error,
     },
-    /// The session could not be written or read.
+    /// The session could not be read.
     #[error(transparent)]
     Bag(#[from] BagError),
+    /// The session could not be written or read.
+    #[error(transparent)]
+    Journal(#[from] JournalError),
     /// The textured mesh could not be written.
     #[error(transparent)]
     Export(#[from] ExportError),
@@ -145,38 +151,17 @@ pub fn save_session(path: &Path, capture: &Capture) -> Result<String, FileError>
     if capture.keyframes.is_empty() && capture.mesh.is_none() {
         return Err(FileError::Nothing("no frame was kept and no mesh came"));
     }
-    let world_frame = capture.ingest.world_frame.clone();
-    let topics = ScanTopics {
-        world_frame: world_frame.unwrap_or_else(|| ScanTopics::default().world_frame),
-        ..ScanTopics::default()
-    };
-    let mut writer = ScanWriter::create(path, &topics, Compression::None)?;
-    let first = capture.keyframes.first();
-    let start = first.map_or(capture.stamp, |keyframe| keyframe.stamp);
-    if let Some(mesh) = &capture.mesh {
-        writer.mesh(start, &MeshUpdate::Whole((**mesh).clone()))?;
+    // Renaming over a device would replace the device, over a folder fail after all the work.
+    if std::fs::metadata(path).is_ok_and(|there| !there.is_file()) {
+        return Err(FileError::Path {
+            path: path.display().to_string(),
+            reason: "is there already, and is no file to be replaced",
+        });
     }
-    for keyframe in &capture.keyframes {
-        let stamp = keyframe.stamp;
-        writer.pose(stamp, &keyframe.world_from_camera)?;
-        writer.color_info(stamp, &keyframe.color_camera)?;
-        if let Some(depth) = &keyframe.depth {
-            // The depth camera hangs below the colour camera, anew for each frame: its pose among
-            // them also holds how far the camera moved between the two images.
-            let color_from_depth = depth.depth_from_color.inverse();
-            writer.moving_depth_frame(stamp, &color_from_depth)?;
-            writer.depth_info(stamp, &depth.camera)?;
-            writer.color(stamp, &keyframe.color)?;
-            writer.depth(stamp, &depth.image)?;
-        } else {
-            writer.color(stamp, &keyframe.color)?;
-        }
-    }
-    let summary = writer.finish()?;
+    let num_bytes = journal::save(Box::new(PathDisk::new(path)), &scan_state(capture, 0))?;
     Ok(format!(
-        "{} frames, {} bytes, to {}",
+        "{} frames, {num_bytes} bytes, to {}",
         capture.keyframes.len(),
-        summary.num_bytes,
         path.display()
     ))
 }
@@ -222,18 +207,33 @@ pub fn save_painting(
 
 /// What a session holds.
 #[derive(Debug)]
-pub struct Session {
-    /// Frames at their poses, and the mesh.
-    pub assembled: Vec<Assembled>,
-    /// The frame that they are in.
-    pub world_frame: Option<String>,
+pub enum Session {
+    /// A scan as it was.
+    Exact(EarlierScan),
+    /// A recording.
+    Recorded {
+        /// Frames at their poses, and the mesh.
+        assembled: Vec<Assembled>,
+        /// The frame that they are in.
+        world_frame: Option<String>,
+    },
+}
+
+impl Session {
+    /// Frames and meshes in it.
+    pub fn num_items(&self) -> usize {
+        match self {
+            Self::Exact(scan) => scan.keyframes.len() + usize::from(scan.mesh.is_some()),
+            Self::Recorded { assembled, .. } => assembled.len(),
+        }
+    }
 }
 
 /// Reads a session. It is in one world frame and has its own transforms, so it is put together
 /// apart from what the node listens to.
 ///
 /// # Errors
-/// [`FileError`].
+/// [`FileError`]; a session that is damaged gives what is whole, and the damage goes to the log.
 pub fn load_session(path: &Path) -> Result<Session, FileError> {
     if kind(path) != Some(Kind::Session) {
         return Err(FileError::Path {
@@ -241,6 +241,20 @@ pub fn load_session(path: &Path) -> Result<Session, FileError> {
             reason: "is no session (.mcap)",
         });
     }
+    match Journal::resume(Box::new(PathDisk::new(path))) {
+        Ok(Found::Scan(found)) => {
+            for loss in &found.losses {
+                tracing::warn!("{loss}");
+            }
+            Ok(Session::Exact(earlier_scan(found.state)))
+        }
+        // What is no journal may be another recording, or says why it is none.
+        Ok(Found::Nothing(_)) | Err(JournalError::NotAJournal { .. }) => load_recording(path),
+        Err(error) => Err(error.into()),
+    }
+}
+
+fn load_recording(path: &Path) -> Result<Session, FileError> {
     let mut bag = BagReader::open(path, &TopicRoles::default())?;
     if let Some(missing) = bag.plan().missing.first() {
         return Err(FileError::Incomplete(missing.role.name().to_owned()));
@@ -252,7 +266,7 @@ pub fn load_session(path: &Path) -> Result<Session, FileError> {
         assembler.push(event, &mut assembled);
     }
     assembler.finish(&mut assembled);
-    Ok(Session {
+    Ok(Session::Recorded {
         assembled,
         world_frame: assembler.report().world_frame.clone(),
     })

@@ -209,6 +209,7 @@ impl Monitor {
         let capture = shared.view();
         let paint = shared.paint_status();
         let outputs = self.output.counts();
+        let journal = shared.journal.status();
         let seen = Observation {
             state: control.state(),
             is_paused: control.is_paused(),
@@ -224,6 +225,7 @@ impl Monitor {
             memory_bytes: resident_bytes().unwrap_or(0),
             socket_remedy: self.socket_remedy.as_deref(),
             queue_bytes: shared.inbox.num_bytes(),
+            journal: journal.as_ref(),
         };
         let findings = diagnostics::findings(&seen);
         let last = shared.last_painted();

@@ -94,7 +94,13 @@ fn queues<'a>(seen: &Observation<'a>) -> Vec<QueueStatus<'a>> {
         capacity: 1,
         num_dropped: seen.num_captures_replaced,
     };
-    inputs.chain([captures]).collect()
+    let journal = seen.journal.map(|journal| QueueStatus {
+        name: "keyframes to be journalled",
+        length: small(journal.num_pending()),
+        capacity: small(journal.num_keyframes),
+        num_dropped: 0,
+    });
+    inputs.chain([captures]).chain(journal).collect()
 }
 
 fn stages<'a>(seen: &Observation<'a>) -> Vec<StageStatus<'a>> {

@@ -331,3 +331,56 @@ proptest! {
         prop_assert_eq!(report.num_admitted + num_rejected, report.num_offered);
     }
 }
+
+#[test]
+fn a_restored_store_goes_on_as_the_one_before() {
+    let one = encoded_bytes(&image(0, 0), Some(&depth()));
+    let budget_mb = 14.5 * one as f64 * 1e-6;
+    let mut before = ring(budget_mb);
+    let params = KeyframeParams {
+        budget_mb,
+        ..KeyframeParams::default()
+    };
+    let mut after = KeyframeStore::new(&params);
+    let mut kept: Vec<_> = before.keyframes().cloned().collect();
+    // The order does not matter.
+    kept.reverse();
+    kept.into_iter()
+        .for_each(|keyframe| after.restore(keyframe));
+    after.reserve_ids(KeyframeId(before.next_id));
+    assert_eq!(after.report().num_restored, before.len() as u64);
+    assert_eq!(after.num_bytes(), before.num_bytes());
+    let shown = |store: &KeyframeStore| -> Vec<_> {
+        let stored = store.stored.values();
+        stored
+            .map(|s| (s.keyframe.clone(), s.num_shown_by))
+            .collect()
+    };
+    assert_eq!(shown(&after), shown(&before));
+    // The running median of sharpness begins anew; these frames are alike.
+    for i in 108..140u32 {
+        let angle = f64::from(i) * 0.77;
+        let offered = || frame(i64::from(i), angle, image(i, 0));
+        assert_eq!(after.offer(offered()), before.offer(offered()), "frame {i}");
+    }
+    assert_eq!(shown(&after), shown(&before));
+}
+
+#[test]
+fn a_smaller_budget_keeps_less_of_what_is_restored() {
+    let before = ring(512.0);
+    let one = encoded_bytes(&image(0, 0), Some(&depth()));
+    let mut after = KeyframeStore::new(&KeyframeParams {
+        budget_mb: 8.5 * one as f64 * 1e-6,
+        ..KeyframeParams::default()
+    });
+    before
+        .keyframes()
+        .for_each(|keyframe| after.restore(keyframe.clone()));
+    assert!(after.num_bytes() as f64 <= 8.5 * one as f64);
+    assert!(after.len() >= 7, "{}", after.len());
+    let num_evicted = (before.len() - after.len()) as u64;
+    assert_eq!(after.report().num_evicted, num_evicted);
+    // 8 views of 56° can show all of the ring.
+    assert!(largest_gap_rad(&after).to_degrees() < 75.0);
+}

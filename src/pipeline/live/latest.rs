@@ -14,6 +14,7 @@ pub struct Latest<T> {
 struct State<T> {
     value: Option<T>,
     num_replaced: u64,
+    is_last: bool,
     is_shut: bool,
 }
 
@@ -23,6 +24,7 @@ impl<T> Default for Latest<T> {
             state: Mutex::new(State {
                 value: None,
                 num_replaced: 0,
+                is_last: false,
                 is_shut: false,
             }),
             changed: Condvar::new(),
@@ -57,7 +59,7 @@ impl<T> Latest<T> {
                 return Some(value);
             }
             let left = deadline.saturating_duration_since(Instant::now());
-            if left.is_zero() {
+            if left.is_zero() || state.is_last {
                 return None;
             }
             let waited = self.changed.wait_timeout(state, left);
@@ -73,6 +75,18 @@ impl<T> Latest<T> {
     /// Values that a newer one replaced before they were taken.
     pub fn num_replaced(&self) -> u64 {
         self.lock().num_replaced
+    }
+
+    /// No value comes any more: takers get the one that is there, and wait for no other.
+    pub fn end(&self) {
+        self.lock().is_last = true;
+        self.changed.notify_all();
+    }
+
+    /// Whether [`Self::end`] was called and nothing is left to be taken.
+    pub fn has_ended(&self) -> bool {
+        let state = self.lock();
+        state.is_last && state.value.is_none()
     }
 
     /// Empties the slot for good; takers are let go.
@@ -124,6 +138,17 @@ mod tests {
         slot.shut();
         assert_eq!(taker.join().unwrap(), (Some(7), None));
         slot.put(8);
+        assert_eq!(slot.take(Duration::from_secs(60)), None);
+    }
+
+    #[test]
+    fn the_last_value_is_taken_before_the_end() {
+        let slot = Latest::default();
+        slot.put(1);
+        slot.end();
+        assert!(!slot.has_ended());
+        assert_eq!(slot.take(Duration::from_secs(60)), Some(1));
+        assert!(slot.has_ended());
         assert_eq!(slot.take(Duration::from_secs(60)), None);
     }
 }

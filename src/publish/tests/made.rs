@@ -144,6 +144,15 @@ impl Scan {
         }
     }
 
+    /// Pages of another size; what lies outside of them goes.
+    pub(super) fn resize(&mut self) {
+        let chosen = self.draw(3) as usize;
+        self.page_size_texel = [[192, 144], [96, 240], [240, 96]][chosen];
+        let [columns, rows] = self.page_size_texel.map(|side| side / SLOT_TEXEL);
+        self.patches
+            .retain(|patch| patch.slot[0] < columns && patch.slot[1] < rows);
+    }
+
     pub(super) fn made(&self) -> Made {
         self.made_with_keyframes(3)
     }

@@ -16,7 +16,7 @@ use crate::wire::{Message, WireError};
 
 const TOPIC: OutputTopic = OutputTopic::TexturedMesh;
 
-fn triangle_bits(mirror: &Mirror) -> Vec<[CornerBits; 3]> {
+pub(super) fn triangle_bits(mirror: &Mirror) -> Vec<[CornerBits; 3]> {
     let mut bits = Vec::new();
     for chart in mirror.charts() {
         for corners in chart.triangles.as_chunks::<3>().0 {
@@ -35,7 +35,7 @@ fn triangle_bits(mirror: &Mirror) -> Vec<[CornerBits; 3]> {
     bits
 }
 
-fn assert_holds(mirror: &Mirror, made: &Made, revision: u64) {
+pub(super) fn assert_holds(mirror: &Mirror, made: &Made, revision: u64) {
     assert_eq!(mirror.frame_id(), made.frame_id);
     assert!(mirror.revision().is_some_and(|held| held <= revision));
     let pages = made.texture.pages.iter().map(|page| &page.srgb);
@@ -57,7 +57,7 @@ fn apply_all<'a>(mirror: &mut Mirror, messages: impl IntoIterator<Item = &'a [u8
     revisions.count()
 }
 
-fn new_mirror() -> Mirror {
+pub(super) fn new_mirror() -> Mirror {
     Mirror::new(MirrorLimits::default())
 }
 

@@ -1,0 +1,161 @@
+//! One budget of bytes over all that a scan keeps in memory.
+//!
+//! | part | how it keeps to the budget |
+//! |---|---|
+//! | the process itself | reserved |
+//! | encoded images | a share of the budget: the most redundant keyframe goes |
+//! | atlas | a share of the budget: the density of texels is lowered |
+//! | mesh, score tables | as large as mesh and frames make them; reserved |
+//! | decoded images | what the others leave |
+//!
+//! The shares of images and atlas depend on the settings alone, so that what is painted depends
+//! on the events and the settings alone; decoded images, whose number changes nothing, give way.
+
+use super::run::PipelineParams;
+
+/// The budget.
+#[derive(Clone, Copy, Debug, PartialEq, Default)]
+pub struct MemoryParams {
+    /// Bytes for all parts together, MB (10⁶ bytes), ≥ 0; 0 leaves each part to its own limit.
+    pub budget_mb: f64,
+}
+
+/// How the budget is divided, bytes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub struct MemoryPlan {
+    /// All parts together; 0: no budget.
+    pub budget: u64,
+    /// The process without a scan.
+    pub process: u64,
+    /// Encoded images of keyframes.
+    pub keyframes: u64,
+    /// Texels of all pages, and what painting and exporting them takes.
+    pub atlas: u64,
+    /// Mesh, charts and score tables.
+    pub tables: u64,
+    /// Decoded images kept for reuse.
+    pub decode_cache: u64,
+}
+
+impl MemoryPlan {
+    /// All parts together.
+    pub fn total(&self) -> u64 {
+        self.process + self.keyframes + self.atlas + self.tables + self.decode_cache
+    }
+}
+
+/// Program, threads and libraries, with one frame in work on each of a few threads.
+const PROCESS_BYTES: u64 = 60_000_000;
+/// Encoded images may have this share of the budget.
+const KEYFRAME_SHARE: f64 = 0.25;
+/// The atlas may have this share of it.
+const ATLAS_SHARE: f64 = 0.5;
+/// A texel of the atlas, and the copy that an export or a change of its page makes.
+const TEXEL_BYTES: f64 = 14.0;
+/// A triangle in mesh, adjacency, charts and per-triangle results.
+const TRIANGLE_BYTES: u64 = 400;
+/// A pair of frame and triangle in the score tables, times the share of such pairs there are.
+const SCORED_PAIR_BYTES: f64 = 1.5;
+
+impl MemoryParams {
+    fn budget_bytes(&self) -> f64 {
+        self.budget_mb * 1e6
+    }
+
+    /// The settings with the limits of images and atlas lowered to their shares.
+    pub fn applied_to(&self, params: &PipelineParams) -> PipelineParams {
+        let mut params = params.clone();
+        if self.budget_mb > 0.0 {
+            let keyframe = &mut params.keyframe;
+            keyframe.budget_mb = keyframe.budget_mb.min(KEYFRAME_SHARE * self.budget_mb);
+            let max_texels = bytes(ATLAS_SHARE * self.budget_bytes() / TEXEL_BYTES);
+            let pack = &mut params.texinit.pack;
+            pack.max_texels = pack.max_texels.min(max_texels);
+        }
+        params
+    }
+
+    /// How the budget is divided while a scan's size is not known.
+    pub fn first_plan(&self, params: &PipelineParams) -> MemoryPlan {
+        let keyframe = self.applied_to(params).keyframe;
+        let num_bytes = usize::try_from(bytes(keyframe.budget_mb * 1e6)).unwrap_or(usize::MAX);
+        self.plan(params, num_bytes, 0, 0)
+    }
+
+    /// How the budget is divided for a scan of this size.
+    pub fn plan(
+        &self,
+        params: &PipelineParams,
+        num_keyframe_bytes: usize,
+        num_keyframes: usize,
+        num_triangles: usize,
+    ) -> MemoryPlan {
+        let applied = self.applied_to(params);
+        let atlas = bytes(applied.texinit.pack.max_texels as f64 * TEXEL_BYTES);
+        let pairs = num_keyframes as f64 * num_triangles as f64;
+        let mut plan = MemoryPlan {
+            budget: bytes(self.budget_bytes()),
+            process: PROCESS_BYTES,
+            keyframes: num_keyframe_bytes as u64,
+            atlas,
+            tables: num_triangles as u64 * TRIANGLE_BYTES + bytes(pairs * SCORED_PAIR_BYTES),
+            decode_cache: 0,
+        };
+        let wanted = bytes(params.keyframe.decode_cache_mb * 1e6);
+        plan.decode_cache = match plan.budget {
+            0 => wanted,
+            budget => wanted.min(budget.saturating_sub(plan.total())),
+        };
+        plan
+    }
+}
+
+#[expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "float to int casts saturate, as meant for a limit"
+)]
+fn bytes(number: f64) -> u64 {
+    number as u64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_budget_changes_nothing() {
+        let params = PipelineParams::default();
+        let memory = MemoryParams { budget_mb: 0.0 };
+        let applied = memory.applied_to(&params);
+        assert_eq!(applied.keyframe, params.keyframe);
+        assert_eq!(
+            applied.texinit.pack.max_texels,
+            params.texinit.pack.max_texels
+        );
+        let plan = memory.plan(&params, 1000, 3, 500);
+        assert_eq!(plan.decode_cache, 700_000_000);
+    }
+
+    #[test]
+    fn the_parts_keep_to_the_budget_while_mesh_and_images_leave_room() {
+        let params = PipelineParams::default();
+        for budget_mb in [200.0, 512.0, 1000.0, 4000.0] {
+            let memory = MemoryParams { budget_mb };
+            let applied = memory.applied_to(&params);
+            assert!(applied.keyframe.budget_mb <= budget_mb / 4.0);
+            let most = (applied.keyframe.budget_mb * 1e6) as usize;
+            for (num_bytes, num_keyframes, num_triangles) in
+                [(0, 0, 0), (most / 2, 50, 50_000), (most, 100, 20_000)]
+            {
+                let plan = memory.plan(&params, num_bytes, num_keyframes, num_triangles);
+                let fixed = plan.total() - plan.decode_cache;
+                assert!(plan.total() <= plan.budget.max(fixed), "{plan:?}");
+                assert!(plan.decode_cache <= 700_000_000);
+                if fixed < plan.budget && plan.decode_cache < 700_000_000 {
+                    assert_eq!(plan.total(), plan.budget, "all of it is used");
+                }
+            }
+        }
+    }
+}

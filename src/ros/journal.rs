@@ -1,0 +1,318 @@
+//! Keeps the scan in a journal, on a thread of its own.
+//!
+//! Ingest leaves the latest state of the scan in a slot that holds one, and never waits for the
+//! disk. The thread brings the journal to the state that it finds there: what a newer state
+//! replaced is written with the newer one, or needs not be written any more. Where the disk
+//! refuses, that goes on being tried, and diagnostics say why it fails; the memory that waits is
+//! the scan's own.
+
+mod status;
+
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use crate::bag::journal::{Found, Journal, JournalDisk, JournalError, PathDisk, ScanState};
+use crate::mesh::TriMesh;
+use crate::pipeline::{Capture, EarlierScan, Latest};
+
+pub(super) use status::{JournalStatus, finding};
+
+/// How long the thread sleeps at a time.
+const POLL: Duration = Duration::from_millis(100);
+/// A disk that has refused is asked again after this.
+const RETRY: Duration = Duration::from_secs(1);
+/// How long a start waits for the process before to let go of the journal.
+const HANDOVER: Duration = Duration::from_secs(3);
+/// How long the end waits for the disk.
+const PATIENCE: Duration = Duration::from_millis(800);
+
+/// What ingest, the thread and diagnostics share.
+#[derive(Debug)]
+pub(super) struct JournalSlot {
+    /// Where the journal is; `None`: none is kept.
+    path: Option<PathBuf>,
+    states: Latest<ScanState>,
+    status: Mutex<JournalStatus>,
+}
+
+impl JournalSlot {
+    pub(super) fn new(path: Option<&str>) -> Self {
+        let path = path.map(PathBuf::from);
+        let status = JournalStatus::new(path.as_deref());
+        Self {
+            path,
+            states: Latest::default(),
+            status: Mutex::new(status),
+        }
+    }
+
+    /// What the journal is up to; `None` where none is kept.
+    pub(super) fn status(&self) -> Option<JournalStatus> {
+        self.path.as_ref()?;
+        let mut status = self.lock().clone();
+        status.num_coalesced = self.states.num_replaced();
+        Some(status)
+    }
+
+    fn lock(&self) -> MutexGuard<'_, JournalStatus> {
+        // The status is whole after every step, so a panic elsewhere leaves it usable.
+        self.status.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Leaves what there is of the scan; `epoch` counts the scans that were forgotten.
+    pub(super) fn put(&self, capture: &Capture, epoch: u64) {
+        if self.path.is_none() {
+            return;
+        }
+        let state = scan_state(capture, epoch);
+        self.lock().num_keyframes = state.keyframes.len();
+        self.states.put(state);
+    }
+}
+
+/// The thread, which ends when this is dropped.
+pub(super) struct JournalThread {
+    slot: Arc<JournalSlot>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl JournalThread {
+    /// Starts the thread; with what an earlier run left in the journal. `mesh_period` is the least
+    /// time between two meshes in it.
+    pub(super) fn start(
+        slot: Arc<JournalSlot>,
+        mesh_period: Duration,
+    ) -> (Self, Option<EarlierScan>) {
+        let Some(path) = slot.path.clone() else {
+            return (Self { slot, thread: None }, None);
+        };
+        let (writer, earlier) = match resume(&path) {
+            Ok(Found::Scan(resumed)) => {
+                let state = resumed.state;
+                let mut status = slot.lock();
+                status.num_resumed = state.keyframes.len();
+                status.losses = resumed.losses;
+                status.report = resumed.journal.report().clone();
+                tracing::info!(
+                    "goes on with {} keyframes of {}",
+                    state.keyframes.len(),
+                    path.display()
+                );
+                (Writer::Open(Box::new(resumed.journal)), Some(state))
+            }
+            Ok(Found::Nothing(loss)) => {
+                slot.lock().losses.extend(loss);
+                (Writer::Missing(path), None)
+            }
+            // What is there must not be written over by a scan that does not go on with it.
+            Err(error) => {
+                slot.lock().give_up(&error);
+                tracing::error!("no journal is kept: {error}; {}", error.remedy());
+                return (Self { slot, thread: None }, None);
+            }
+        };
+        for loss in &slot.lock().losses {
+            tracing::warn!("{loss}");
+        }
+        let keeper = Keeper {
+            slot: Arc::clone(&slot),
+            writer,
+            mesh: earlier
+                .as_ref()
+                .map_or_else(PacedMesh::default, PacedMesh::of),
+            mesh_period,
+            target: ScanState::default(),
+            retry_at: None,
+        };
+        let spawned = std::thread::Builder::new()
+            .name("veneer-journal".to_owned())
+            .spawn(move || keeper.run());
+        let thread = match spawned {
+            Ok(thread) => Some(thread),
+            Err(error) => {
+                slot.lock().problem = Some(format!("no thread for the journal: {error}"));
+                None
+            }
+        };
+        (Self { slot, thread }, earlier.map(earlier_scan))
+    }
+}
+
+impl Drop for JournalThread {
+    fn drop(&mut self) {
+        self.slot.states.end();
+        let Some(thread) = self.thread.take() else {
+            return;
+        };
+        let begun = Instant::now();
+        while !thread.is_finished() && begun.elapsed() < PATIENCE {
+            std::thread::sleep(PATIENCE / 100);
+        }
+        if !thread.is_finished() {
+            tracing::warn!("the disk is slow: the journal ends with what it has acknowledged");
+        } else if thread.join().is_err() {
+            tracing::error!("the thread that keeps the journal has panicked");
+        }
+    }
+}
+
+/// A capture as a journal holds it.
+pub(super) fn scan_state(capture: &Capture, epoch: u64) -> ScanState {
+    let keyframes = capture.keyframes.iter();
+    ScanState {
+        epoch,
+        keyframes: keyframes.map(|k| (k.id, Arc::clone(k))).collect(),
+        mesh: capture.mesh.clone(),
+        num_mesh_updates: capture.num_mesh_updates as u64,
+        world_frame: capture.ingest.world_frame.clone(),
+        ..ScanState::default()
+    }
+}
+
+/// What a journal held, to be gone on with.
+pub(super) fn earlier_scan(state: ScanState) -> EarlierScan {
+    EarlierScan {
+        keyframes: state.keyframes.into_values().collect(),
+        next_id: state.next_id,
+        mesh: state.mesh,
+        num_mesh_updates: usize::try_from(state.num_mesh_updates).unwrap_or(usize::MAX),
+        world_frame: state.world_frame,
+    }
+}
+
+fn disk(path: &Path) -> Box<dyn JournalDisk> {
+    Box::new(PathDisk::new(path))
+}
+
+/// Reads the journal; waits a while for a process that is about to end.
+fn resume(path: &Path) -> Result<Found, JournalError> {
+    let begun = Instant::now();
+    loop {
+        match Journal::resume(disk(path)) {
+            Err(error) if error.is_held() && begun.elapsed() < HANDOVER => {
+                std::thread::sleep(HANDOVER / 30);
+            }
+            result => return result,
+        }
+    }
+}
+
+enum Writer {
+    /// There is none yet at this path.
+    Missing(PathBuf),
+    Open(Box<Journal>),
+}
+
+/// The mesh that the journal has or is to have: of those that come, not more than one in a period.
+#[derive(Default)]
+struct PacedMesh {
+    epoch: u64,
+    num_updates: u64,
+    mesh: Option<Arc<TriMesh>>,
+    taken_at: Option<Instant>,
+}
+
+impl PacedMesh {
+    fn of(state: &ScanState) -> Self {
+        Self {
+            epoch: state.epoch,
+            num_updates: state.num_mesh_updates,
+            mesh: state.mesh.clone(),
+            taken_at: None,
+        }
+    }
+
+    /// Takes the mesh of `state`, or gives it the one taken before where that is too young.
+    /// Whether it was given that.
+    fn pace(&mut self, state: &mut ScanState, period: Duration) -> bool {
+        let is_same_scan = self.epoch == state.epoch;
+        if is_same_scan && self.num_updates == state.num_mesh_updates {
+            return false;
+        }
+        if is_same_scan && self.taken_at.is_some_and(|at| at.elapsed() < period) {
+            state.mesh = self.mesh.clone();
+            state.num_mesh_updates = self.num_updates;
+            return true;
+        }
+        *self = Self {
+            taken_at: Some(Instant::now()),
+            ..Self::of(state)
+        };
+        false
+    }
+}
+
+/// The thread's own.
+struct Keeper {
+    slot: Arc<JournalSlot>,
+    writer: Writer,
+    mesh: PacedMesh,
+    mesh_period: Duration,
+    /// What the journal is to hold.
+    target: ScanState,
+    /// When what it lacks is written, if it lacks something.
+    retry_at: Option<Instant>,
+}
+
+impl Keeper {
+    fn run(mut self) {
+        loop {
+            let newer = self.slot.states.take(POLL);
+            let is_last = self.slot.states.has_ended();
+            if let Some(newer) = newer {
+                self.target = newer;
+                // Where the disk has refused, a newer state is no reason to ask it sooner.
+                self.retry_at.get_or_insert_with(Instant::now);
+            }
+            if is_last {
+                self.mesh_period = Duration::ZERO;
+            }
+            if self
+                .retry_at
+                .is_some_and(|at| is_last || at <= Instant::now())
+            {
+                self.keep();
+            }
+            if is_last {
+                break;
+            }
+        }
+        if let Writer::Open(journal) = self.writer
+            && let Err(error) = journal.close()
+        {
+            tracing::warn!("the journal was not closed, which costs nothing: {error}");
+        }
+    }
+
+    /// Brings the journal to what it is to hold.
+    fn keep(&mut self) {
+        let mut target = self.target.clone();
+        let is_mesh_late = self.mesh.pace(&mut target, self.mesh_period);
+        let result = self.write(&target);
+        self.retry_at = match &result {
+            Err(_) => Some(Instant::now() + RETRY),
+            Ok(()) if is_mesh_late => Some(Instant::now() + POLL),
+            Ok(()) => None,
+        };
+        let mut status = self.slot.lock();
+        if let Writer::Open(journal) = &self.writer {
+            status.report = journal.report().clone();
+        }
+        status.note(result);
+    }
+
+    fn write(&mut self, target: &ScanState) -> Result<(), JournalError> {
+        let journal = match &mut self.writer {
+            Writer::Open(journal) => journal,
+            Writer::Missing(path) => {
+                let journal = Box::new(Journal::create(disk(path))?);
+                self.writer = Writer::Open(journal);
+                return self.write(target);
+            }
+        };
+        journal.follow(target)?;
+        journal.compact(target)
+    }
+}
