@@ -52,7 +52,6 @@ pub(crate) fn painted(capture: Capture, params: &PipelineParams) -> Painted {
 }
 
 fn assert_same(a: &Painted, b: &Painted) {
-    let [a, b] = [a, b].map(|painted| &painted.textured.texinit);
     assert!(a.texture.pages.len() == b.texture.pages.len());
     for (a, b) in a.texture.pages.iter().zip(&b.texture.pages) {
         assert!(a.srgb == b.srgb && a.source == b.source, "another page");
