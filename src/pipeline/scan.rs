@@ -10,7 +10,7 @@ use super::clock::StageClock;
 use super::live::Capture;
 use super::run::{PipelineError, PipelineParams};
 use crate::geom::{ImageError, PosedFrame, Stamp};
-use crate::ingest::{Assembled, Assembler, EventSource, IngestReport};
+use crate::ingest::{Assembled, Assembler, EventSource, IngestReport, PoseCorrection};
 use crate::keyframe::quality;
 use crate::keyframe::{DecodedFrame, FrameQuality, Keyframe, KeyframeReport, KeyframeStore};
 use crate::mesh::weld::weld;
@@ -165,6 +165,11 @@ fn receive(
                             mesh = Some(update);
                             num_mesh_updates += 1;
                         }
+                        Gained::Corrections(corrections) => {
+                            let poses: Vec<_> =
+                                corrections.iter().map(|c| (c.stamp, c.pose)).collect();
+                            store.correct_poses(&poses);
+                        }
                     }
                 }
             },
@@ -190,6 +195,7 @@ const BATCH_SIZE: usize = 8;
 enum Gained {
     Frame(Box<PosedFrame>, Result<FrameQuality, ImageError>),
     Mesh(Arc<TriMesh>),
+    Corrections(Vec<PoseCorrection>),
 }
 
 /// Reads the stream batch by batch.
@@ -227,6 +233,7 @@ impl FrameReader<'_> {
                     Gained::Frame(Box::new(frame), quality)
                 }
                 Assembled::Mesh(update) => Gained::Mesh(update),
+                Assembled::Corrections(corrections) => Gained::Corrections(corrections),
             })
             .collect()
     }
