@@ -1,19 +1,44 @@
 #!/usr/bin/env bash
-# The live node's numbers among real rclpy peers on 127.0.0.1: a 720p camera at 30 Hz for a minute,
-# raw and compressed. Prints what was sent, received, lost and dropped, CPU and memory.
+# The live node's numbers among real rclpy peers on 127.0.0.1: from start to first diagnostics; a 720p
+# camera at 30 Hz for a minute, raw and compressed, with what was sent, received, lost and dropped,
+# CPU and memory; and how long a scan of 20 MB takes to an early and to a late subscriber.
 #
 #   scripts/live_numbers.sh [VENEER] [SECONDS]
 set -euo pipefail
 cd "$(dirname "$0")/.."
-veneer=${1:-target/release/veneer}
+veneer=$(realpath "${1:-target/release/veneer}")
 seconds=${2:-60}
 python=target/tmp/venv/jazzy-live/bin/python
 [ -x "$python" ] || { echo "run the live tests once: they make $python" >&2; exit 1; }
 "$python" -c 'import PIL' 2>/dev/null || "$python" -m pip install --quiet pillow
 export ROS_DOMAIN_ID=$((100 + RANDOM % 100)) ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST
 peer=("$python" tests/all/live_peer.py)
+work=$(mktemp -d)
+peers=()
+end() { kill "${peers[@]}" 2>/dev/null || true; rm -rf "$work"; }
+trap end EXIT
 echo "net.core.rmem_max $(cat /proc/sys/net/core/rmem_max), $(nproc) cores"
 
+# background NAME ARGS…: a peer that runs until the end, what it says in $work/NAME
+background() {
+    local name=$1
+    shift
+    "${peer[@]}" "$@" < <(sleep infinity) >"$work/$name" &
+    peers+=($!)
+}
+wait_for() { # FILE WORDS SECONDS
+    for ((i = 0; i < 10 * $3; i++)); do
+        grep -q "$2" "$1" 2>/dev/null && return
+        sleep 0.1
+    done
+    echo "no $2 in $(basename "$1")" >&2
+    return 1
+}
+start_node() { # ARGS…
+    "$veneer" node --ros-args -p pose_source:=pose -p mesh_frame:=map --log-level error "$@" 2>/dev/null &
+    node=$!
+    peers+=("$node")
+}
 cpu_ticks() { # of a process' threads whose name matches
     local sum=0 task
     for task in /proc/"$1"/task/*; do
@@ -27,37 +52,79 @@ cpu_ticks() { # of a process' threads whose name matches
 
 for kind in raw compressed; do
     flags=(); [ $kind = compressed ] && flags=(--jpeg)
-    "$veneer" node --ros-args -p pose_source:=pose -p mesh_frame:=map -p paint_period:=5.0 \
-        --log-level error 2>/dev/null &
-    node=$!
-    sleep 1
-    coproc camera { "${peer[@]}" camera --seconds "$seconds" "${flags[@]}"; }
-    read -r matched <&"${camera[0]}"
+    background watch watch
+    watch=${peers[-1]}
+    wait_for "$work/watch" watching 20
+    begun=$(date +%s.%N)
+    start_node -p paint_period:=5.0
+    wait_for "$work/watch" resident 20
+    background camera camera --seconds "$seconds" "${flags[@]}"
+    camera=${peers[-1]}
+    wait_for "$work/camera" matched 30
+    streaming=$(date +%s.%N)
     before=$(cpu_ticks "$node" '^veneer-(receive|ingest)|^RustDDS')
-    memory=()
-    for ((i = 0; i < seconds; i += 10)); do
-        sleep 10
-        memory+=("$(awk '/VmRSS/ { print int($2 / 1024) }' /proc/"$node"/status)")
-    done
-    read -r sent <&"${camera[0]}"
+    wait_for "$work/camera" sent $((seconds + 30))
     after=$(cpu_ticks "$node" '^veneer-(receive|ingest)|^RustDDS')
     sleep 3
-    "${peer[@]}" take /diagnostics diagnostic_msgs/msg/DiagnosticArray | "$python" -c '
+    "${peer[@]}" take /diagnostics diagnostic_msgs/msg/DiagnosticArray >"$work/diagnostics"
+    "$python" - "$kind" "$work" "$begun" "$streaming" "$((after - before))" "$seconds" <<'PYTHON'
 import json, sys
-kind, matched, sent, ticks, seconds, memory = sys.argv[1:7]
-sent = json.loads(sent)
-num, took = sent["sent"], sent["seconds"]
-[message] = json.load(sys.stdin)["messages"]
+kind, work, begun, streaming, ticks, seconds = sys.argv[1:7]
+lines = lambda name: [json.loads(line) for line in open(f"{work}/{name}")]
+watched = [said for said in lines("watch") if "wall" in said]
+[message] = lines("diagnostics")[-1]["messages"]
+camera = lines("camera")[-1]
+num, took = camera["sent"], camera["seconds"]
 parts = {status["name"].split(": ")[1]: status for status in message["status"]}
 values = {pair["key"]: pair["value"] for pair in parts["inputs"]["values"]}
-print(f"\n{kind}: {num} frames in {took:.1f} s")
+print(f"\n{kind}: start to first diagnostics {watched[0]['wall'] - float(begun):.2f} s")
+print(f"{num} frames in {took:.1f} s")
 print("| topic | sent | received | lost | dropped | taken |\n|---|---|---|---|---|---|")
 for topic in sorted({key.split()[0] for key in values}):
     counts = [values[topic + " " + what] for what in ("received", "lost", "dropped", "taken")]
     print("|", topic, "|", 1 if topic == "/mesh" else num, "|", " | ".join(counts), "|")
-share = float(ticks) / float(seconds)
-print(f"reception and decoding: {share:.0f} % of a core; resident MB every 10 s: {memory}")
-' "$kind" "$matched" "$sent" "$((after - before))" "$seconds" "${memory[*]}"
-    kill -TERM "$node" "$camera_PID" 2>/dev/null || true
+print(f"reception and decoding: {float(ticks) / float(seconds):.0f} % of a core")
+print("| after s | resident MB | keyframes MB | decoded for painting MB | the rest MB |\n|---|---|---|---|---|")
+next_at = 10.0
+for said in watched:
+    at = said["wall"] - float(streaming)
+    if at >= next_at:
+        next_at += 10.0
+        resident, kept, decoded = (said[key] / 1e6 for key in ("resident", "keyframes", "decoded"))
+        print(f"| {at:.0f} | {resident:.0f} | {kept:.0f} | {decoded:.0f} | {resident - kept - decoded:.0f} |")
+PYTHON
+    kill -TERM "$node" "$camera" "$watch" 2>/dev/null || true
     wait "$node" || true
 done
+
+# 20 MB of markers: a table-top whose texture is fine enough.
+"$veneer" --quiet synth tabletop -o "$work/scan.mcap" --frames 24 --width 640 --height 480
+markers=/veneer/markers=visualization_msgs/msg/MarkerArray
+start_node -p publish.rate_mb:=40.0 -p publish.viewer_textures:=png -p texinit.texels_per_m:=4000.0
+background early listen "$markers" --chatty
+wait_for "$work/early" listening 20
+background player play "$work/scan.mcap"
+wait_for "$work/player" '"sent"' 60
+settled() {
+    local last=$(stat -c %s "$work/early") now
+    while sleep 4; do
+        now=$(stat -c %s "$work/early")
+        [ "$now" = "$last" ] && grep -q '"bytes": [1-9]' "$work/early" && return
+        last=$now
+    done
+}
+settled
+# Painted once more, all of it goes to the early subscriber, and from the history to the late one.
+"${peer[@]}" call /veneer/retexture std_srvs/srv/Trigger >"$work/retexture"
+settled
+background late listen "$markers" --chatty --latched
+sleep 12
+"$python" - "$work" <<'PYTHON'
+import json, sys
+work = sys.argv[1]
+for name in ("early", "late"):
+    lines = [json.loads(line) for line in open(f"{work}/{name}")]
+    count = lines[-1]["counts"]["/veneer/markers"]
+    since = count["first"] if name == "early" else 0.0
+    print(f"\n{name} subscriber: {count['num']} messages, {count['bytes'] / 1e6:.1f} MB in {count['last'] - since:.2f} s")
+PYTHON

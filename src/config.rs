@@ -5,14 +5,17 @@
 //! reader ([`params_file`]), `--param NAME:=VALUE`, `veneer params` and `docs/parameters.md`. A
 //! name that no row has, or a value outside its range, is refused; nothing is repaired in silence.
 
+mod export;
+pub mod listing;
 pub mod node;
 pub mod parameter;
 pub mod params_file;
 mod publish;
 mod smooth;
+mod texinit;
 pub mod tree;
 
-pub use node::{NodeParams, QosOverride, Transport};
+pub use node::{NodeLimits, NodeParams, QosOverride, Transport};
 pub use parameter::{Parameter, ParameterError};
 
 use crate::bag::TopicRoles;
@@ -74,7 +77,7 @@ impl Config {
 type TopicField = fn(&mut TopicRoles) -> &mut Option<String>;
 
 /// The node's subscriptions by the names that remappings use.
-const SUBSCRIPTIONS: [(&str, TopicField); 7] = [
+const SUBSCRIPTIONS: [(&str, TopicField); 8] = [
     ("rgb/image", |topics| &mut topics.color),
     ("rgb/camera_info", |topics| &mut topics.color_info),
     ("depth/image", |topics| &mut topics.depth),
@@ -82,6 +85,7 @@ const SUBSCRIPTIONS: [(&str, TopicField); 7] = [
     ("pose", |topics| &mut topics.pose),
     ("odom", |topics| &mut topics.pose),
     ("mesh", |topics| &mut topics.mesh),
+    ("pose_corrections", |topics| &mut topics.corrections),
 ];
 
 #[cfg(test)]
@@ -146,11 +150,11 @@ veneer:
     #[test]
     fn yaml_of_the_defaults_changes_nothing() {
         let mut config = Config::default();
-        let yaml = tree::to_yaml(&mut Config::default());
+        let yaml = listing::to_yaml(&mut Config::default());
         params_file::apply(&mut config, &yaml, "/veneer").unwrap();
         assert_eq!(
-            tree::to_json(&mut config),
-            tree::to_json(&mut Config::default())
+            listing::to_json(&mut config),
+            listing::to_json(&mut Config::default())
         );
     }
 

@@ -17,7 +17,7 @@ pub mod source;
 pub mod sync;
 
 pub use assembler::{Assembled, Assembler};
-pub use event::{Event, Header, MeshUpdate};
-pub use params::{IngestParams, PoseSource};
+pub use event::{CorrectedBody, Event, Header, MeshUpdate, PoseCorrection};
+pub use params::{IngestLimits, IngestParams, PoseSource, ReportLimits};
 pub use report::IngestReport;
 pub use source::{EventSource, Rejection, TimedEvent};

@@ -28,6 +28,7 @@ pub mod mirror;
 mod pieces;
 mod scene;
 mod sent;
+mod viewer;
 
 use std::sync::Arc;
 
@@ -40,6 +41,9 @@ use crate::wire::{
     MarkerArray, MeshGeometryStamped, MeshMaterialsStamped, Message, PoseArray, SceneUpdate,
     TexturedMeshBlock, WireHeader,
 };
+
+use markers::MarkerFormat;
+use scene::SceneFormat;
 
 pub use mesh::{MeshPiece, mesh_pieces};
 pub use mirror::{Applied, Mirror, MirrorError};
@@ -228,8 +232,8 @@ pub struct Outgoing {
 pub struct Publisher {
     params: PublishParams,
     blocks: blocks::Blocks,
-    markers: markers::Markers,
-    scene: scene::Scene,
+    markers: viewer::Held,
+    scene: viewer::Held,
     meshes: mesh::Meshes,
     keyframes: keyframes::Keyframes,
 }
@@ -240,8 +244,8 @@ impl Publisher {
         Self {
             params,
             blocks: blocks::Blocks::default(),
-            markers: markers::Markers::default(),
-            scene: scene::Scene::default(),
+            markers: viewer::Held::default(),
+            scene: viewer::Held::default(),
             meshes: mesh::Meshes::default(),
             keyframes: keyframes::Keyframes::default(),
         }
@@ -317,6 +321,7 @@ impl Publisher {
         let textured = TexturedMesh::new(snapshot.mesh, snapshot.layout, snapshot.texture)?;
         let params = &self.params;
         let mut outgoing = Vec::new();
+        let textures = params.viewer_format;
         let mut send = |topic, messages: Vec<Vec<u8>>| {
             let messages = messages.into_iter();
             outgoing.extend(messages.map(|bytes| Outgoing { topic, bytes }));
@@ -326,11 +331,13 @@ impl Publisher {
             send(OutputTopic::TexturedMesh, messages);
         }
         if is_wanted(OutputTopic::Markers) {
-            let messages = self.markers.publish(snapshot, &textured, params)?;
+            let format = MarkerFormat { snapshot, textures };
+            let messages = self.markers.publish(&format, snapshot, &textured, params)?;
             send(OutputTopic::Markers, messages);
         }
         if is_wanted(OutputTopic::Scene) {
-            let messages = self.scene.publish(snapshot, &textured, params)?;
+            let format = SceneFormat { snapshot, textures };
+            let messages = self.scene.publish(&format, snapshot, &textured, params)?;
             send(OutputTopic::Scene, messages);
         }
         let [geometry, materials] =

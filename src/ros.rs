@@ -33,6 +33,7 @@ pub mod pacer;
 pub mod parameters;
 mod receive;
 pub mod rosout;
+mod server;
 mod service_types;
 mod services;
 pub mod socket_buffer;

@@ -15,7 +15,7 @@ use super::progress::TerminalProgress;
 use super::settings::SettingsArgs;
 use super::{Usage, interrupt, print_product};
 use crate::bag::BagReader;
-use crate::config::{Config, tree};
+use crate::config::{Config, listing};
 use crate::export::{self, write_atomic};
 use crate::geom::{ColorImage, PinholeCamera};
 use crate::keyframe::Keyframe;
@@ -141,7 +141,7 @@ pub(super) fn run(args: &EvalArgs, quiet: bool) -> anyhow::Result<()> {
         } else {
             Vec::new()
         },
-        parameters: tree::to_json(&mut config.clone()),
+        parameters: listing::to_json(&mut config.clone()),
         ..EvalReport::default()
     };
 

@@ -3,7 +3,7 @@
 use clap::Args;
 
 use super::print_product;
-use crate::config::{Config, tree};
+use crate::config::{Config, listing};
 
 /// List all parameters with defaults, ranges and units.
 #[derive(Debug, Args)]
@@ -24,11 +24,11 @@ pub(super) struct ParamsArgs {
 pub(super) fn run(args: &ParamsArgs) -> anyhow::Result<()> {
     let mut defaults = Config::default();
     let text = if args.yaml {
-        tree::to_yaml(&mut defaults)
+        listing::to_yaml(&mut defaults)
     } else if args.markdown {
-        tree::to_markdown(&mut defaults)
+        listing::to_markdown(&mut defaults)
     } else {
-        tree::to_table(&mut defaults)
+        listing::to_table(&mut defaults)
     };
     print_product(&text)
 }

@@ -29,6 +29,48 @@ pub struct QosOverride {
     pub depth: Option<usize>,
 }
 
+/// What peers may at most make the node hold or do. What goes beyond is refused and told.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct NodeLimits {
+    /// Bytes of a message, ≥ 1.
+    pub message_bytes: usize,
+    /// Writers of one topic whose numbers are watched for losses, ≥ 1.
+    pub writers: usize,
+    /// Publishers of the node's inputs that are looked at, ≥ 1.
+    pub publishers: usize,
+    /// Readers of one output that are told apart, ≥ 1.
+    pub readers: usize,
+    /// Bytes of a request to a service, ≥ 1.
+    pub request_bytes: usize,
+    /// Parameters or prefixes that a request may name, ≥ 1.
+    pub request_names: usize,
+    /// Bytes of a path given to `~/save` or `~/load`, ≥ 1.
+    pub path_bytes: usize,
+    /// HTTP requests that are answered at once, ≥ 1.
+    pub http_clients: usize,
+    /// Bytes of an HTTP request's head, ≥ 1.
+    pub http_request_bytes: usize,
+    /// Seconds that an HTTP client may be silent, > 0.
+    pub http_silence_s: u32,
+}
+
+impl Default for NodeLimits {
+    fn default() -> Self {
+        Self {
+            message_bytes: 128_000_000,
+            writers: 64,
+            publishers: 1000,
+            readers: 100,
+            request_bytes: 65_536,
+            request_names: 2000,
+            path_bytes: 1000,
+            http_clients: 8,
+            http_request_bytes: 8192,
+            http_silence_s: 10,
+        }
+    }
+}
+
 /// Settings of the live node.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NodeParams {
@@ -49,6 +91,8 @@ pub struct NodeParams {
     pub idle_flush_s: f64,
     /// Least time between the starts of two paintings, seconds, ≥ 0.
     pub paint_period_s: f64,
+    /// Least steps of the optimisation that `~/refine` asks for.
+    pub refine_steps: usize,
     /// Bytes published in a second at most, all topics together, MB (10⁶ bytes), > 0.
     pub publish_rate_mb: f64,
     /// Messages that each output keeps for late joiners and for readers that lag, ≥ 1.
@@ -67,6 +111,8 @@ pub struct NodeParams {
     pub http_port: u32,
     /// Address that the HTTP server listens on; `None`: this host only.
     pub http_address: Option<String>,
+    /// What peers may at most make the node hold or do.
+    pub limits: NodeLimits,
     /// Quality of service by topic.
     pub qos_overrides: BTreeMap<String, QosOverride>,
 }
@@ -82,6 +128,7 @@ impl Default for NodeParams {
             queue_mb: 256.0,
             idle_flush_s: 2.0,
             paint_period_s: 1.0,
+            refine_steps: 200,
             publish_rate_mb: 10.0,
             publish_depth: 256,
             diagnostics_period_s: 1.0,
@@ -91,6 +138,7 @@ impl Default for NodeParams {
             save_on_shutdown: None,
             http_port: 0,
             http_address: None,
+            limits: NodeLimits::default(),
             qos_overrides: BTreeMap::new(),
         }
     }
@@ -239,4 +287,17 @@ mod tests {
             assert_eq!(mesh_type(&config), *word);
         }
     }
+}
+
+pub(super) fn set_memory_budget(config: &mut Config, text: &str) -> Option<()> {
+    let budget_mb: f64 = text.parse().ok()?;
+    if budget_mb != 0.0 && !(128.0..=1e6).contains(&budget_mb) {
+        return None;
+    }
+    config.pipeline.memory.budget_mb = budget_mb;
+    Some(())
+}
+
+pub(super) fn memory_budget(config: &Config) -> String {
+    config.pipeline.memory.budget_mb.to_string()
 }

@@ -2,16 +2,8 @@
 
 use super::Config;
 use super::parameter::{Access, Parameter};
-use super::{node, publish, smooth};
-use crate::export::NormalMode;
-use crate::export::pages::PageFormat;
+use super::{export, node, publish, smooth, texinit};
 use crate::ingest::PoseSource;
-use crate::texinit::assign::{ColorCue, DepthCue};
-use crate::texinit::density::SizeRule;
-use crate::texinit::flatten::{ChartBoundary, ChartMode};
-use crate::texinit::overlap::OverlapForm;
-use crate::texinit::transfer::{Lookup, MeanForm, TransferMode};
-use crate::texinit::{Coupling, TexInitParams};
 
 use Access::{Bool, Choice, Count, Float, Float32, Int, Text};
 
@@ -28,9 +20,6 @@ const fn row(
         access,
     }
 }
-
-/// JPEG quality where none was chosen.
-const JPEG_QUALITY: u8 = 92;
 
 /// All parameters, by family.
 #[rustfmt::skip]
@@ -90,13 +79,15 @@ pub const PARAMETERS: &[Parameter] = &[
         Float(|c| &mut c.pipeline.keyframe.max_mean_luma, 0.0, 1.0)),
     row("keyframe.max_clipped", "", "Frames with a larger share of clipped pixels are refused.",
         Float(|c| &mut c.pipeline.keyframe.max_clipped, 0.0, 1.0)),
+    row("keyframe.max_correction_interval_s", "s", "How far the stamp of a corrected pose may lie from a keyframe's.",
+        Float(|c| &mut c.pipeline.keyframe.max_correction_interval_s, 0.0, 1.0)),
     row("keyframe.journal_path", "", "File (.mcap) from which the node goes on after it has ended, however it ended; empty keeps none.",
         Text(|c| &mut c.node.journal_path)),
     row("keyframe.journal_mesh_period", "s", "Least time between two meshes in the journal.",
         Float(|c| &mut c.node.journal_mesh_period_s, 0.0, 3600.0)),
 
     row("memory.budget_mb", "MB", "All that a scan keeps in memory: images, decoded images, score tables, mesh, atlas; lowers the limits of each. 0: each has its own limit alone.",
-        Access::Custom { range: "0, 128 ..= 1000000", set: set_memory_budget, get: memory_budget }),
+        Access::Custom { range: "0, 128 ..= 1000000", set: node::set_memory_budget, get: node::memory_budget }),
 
     row("mesh.weld_tolerance_m", "m", "Vertices closer than this are one; 0 joins only those of equal position.",
         Float(|c| &mut c.pipeline.weld_tolerance_m, 0.0, 1.0)),
@@ -104,13 +95,13 @@ pub const PARAMETERS: &[Parameter] = &[
         Int(|c| &mut c.pipeline.num_subdivisions, 0, 3)),
 
     row("texinit.mode", "", "Resets all of texinit to ours (streaming) or to the paper's form (paper); comes before other texinit settings.",
-        Choice { words: &["streaming", "paper"], set: set_mode, get: mode }),
+        Choice { words: &["streaming", "paper"], set: texinit::set_mode, get: texinit::mode }),
     row("texinit.init", "", "Colour of the chosen frame (assigned), or the mean over all frames (l2avg).",
-        Choice { words: &["assigned", "l2avg"], set: set_init, get: init }),
+        Choice { words: &["assigned", "l2avg"], set: texinit::set_init, get: texinit::init }),
     row("texinit.coupling", "", "What the frame of a triangle depends on besides its own scores: all of the scan, or its chart alone, as stream.enabled has it.",
-        Choice { words: &["scan", "chart"], set: set_coupling, get: coupling }),
+        Choice { words: &["scan", "chart"], set: texinit::set_coupling, get: texinit::coupling }),
     row("texinit.chart.boundary", "", "Boundary of each chart: lengths kept (isometric), or a circle (disk), where charts are split until that distorts little enough.",
-        Choice { words: &["isometric", "disk"], set: set_chart_boundary, get: chart_boundary }),
+        Choice { words: &["isometric", "disk"], set: texinit::set_chart_boundary, get: texinit::chart_boundary }),
     row("texinit.chart.max_normal_deviation_rad", "rad", "Largest angle between a triangle's smoothed normal and its chart's.",
         Float(|c| &mut c.pipeline.texinit.flatten.max_normal_deviation_rad, 0.01, 1.5)),
     row("texinit.chart.max_triangles", "", "Most triangles in a chart.",
@@ -128,7 +119,7 @@ pub const PARAMETERS: &[Parameter] = &[
     row("texinit.chart.max_cones", "", "Most cones in a whole component (mode paper).",
         Count(|c| &mut c.pipeline.texinit.flatten.max_cones, 0, 10_000)),
     row("texinit.overlap.form", "", "Eq. MRFPlane as the paper prints it, or with the planes, rewards and adjacency of the authors' program.",
-        Choice { words: &["printed", "reference"], set: set_overlap_form, get: overlap_form }),
+        Choice { words: &["printed", "reference"], set: texinit::set_overlap_form, get: texinit::overlap_form }),
     row("texinit.overlap.max_sweeps", "", "Sweeps of dual coordinate descent that separate overlaps.",
         Count(|c| &mut c.pipeline.texinit.overlap.max_sweeps, 0, 1000)),
     row("texinit.area_weight", "1/px²", "ω1: weight of the projected area (cue C1).",
@@ -144,13 +135,13 @@ pub const PARAMETERS: &[Parameter] = &[
     row("texinit.unmeasured_depth_difference_m", "m", "Depth discrepancy where nothing was measured.",
         Float32(|c| &mut c.pipeline.texinit.assign.unmeasured_depth_difference_m, 0.0, 10.0)),
     row("texinit.depth_cue", "", "Depth discrepancy: the largest of four, in range and cut off (largest), or their sum in depth (sum).",
-        Choice { words: &["largest", "sum"], set: set_depth_cue, get: depth_cue }),
+        Choice { words: &["largest", "sum"], set: texinit::set_depth_cue, get: texinit::depth_cue }),
     row("texinit.color_cue", "", "Colours are compared with the mean over the frames that see the triangle (seeing), or that are valid at its vertices (vertex) or for it (triangle).",
-        Choice { words: &["seeing", "vertex", "triangle"], set: set_color_cue, get: color_cue }),
+        Choice { words: &["seeing", "vertex", "triangle"], set: texinit::set_color_cue, get: texinit::color_cue }),
     row("texinit.occlusion_tolerance_m", "m", "The mesh hides what lies this far behind it, and a share of depth more.",
-        Access::Custom { range: "0 ..= 1", set: set_occlusion_tolerance, get: occlusion_tolerance }),
+        Access::Custom { range: "0 ..= 1", set: texinit::set_occlusion_tolerance, get: texinit::occlusion_tolerance }),
     row("texinit.occlusion_relative_tolerance", "", "The share of depth that is added to it.",
-        Access::Custom { range: "0 ..= 1", set: set_relative_tolerance, get: relative_tolerance }),
+        Access::Custom { range: "0 ..= 1", set: texinit::set_relative_tolerance, get: texinit::relative_tolerance }),
     row("texinit.depth_edge_penalty", "", "Taken off for a depth edge nearby.",
         Float32(|c| &mut c.pipeline.texinit.assign.depth_edge_penalty, 0.0, 100.0)),
     row("texinit.border_margin", "", "Vertices keep this share of the image's width from its border.",
@@ -166,13 +157,13 @@ pub const PARAMETERS: &[Parameter] = &[
     row("texinit.exposure_weight", "", "Taken off per unit of mean luma away from the median frame.",
         Float32(|c| &mut c.pipeline.texinit.assign.exposure_weight, 0.0, 100.0)),
     row("texinit.pairwise_weight", "", "ω4: reward for equal frames on adjacent triangles (cue C4); 0 decides each alone.",
-        Access::Custom { range: "0 ..= 100", set: set_pairwise_weight, get: pairwise_weight }),
+        Access::Custom { range: "0 ..= 100", set: texinit::set_pairwise_weight, get: texinit::pairwise_weight }),
     row("texinit.size_rule", "", "One density for all charts (density), or square plates of fixed size, each filled by itself (paper).",
-        Choice { words: &["density", "paper"], set: set_size_rule, get: size_rule }),
+        Choice { words: &["density", "paper"], set: texinit::set_size_rule, get: texinit::size_rule }),
     row("texinit.lookup", "", "A texel's colour: perspective-correct over its footprint (footprint), or the nearest pixel, affine in the image (nearest).",
-        Choice { words: &["footprint", "nearest"], set: set_lookup, get: lookup }),
+        Choice { words: &["footprint", "nearest"], set: texinit::set_lookup, get: texinit::lookup }),
     row("texinit.mean", "", "Means run over the frames that see a texel (seeing), or over all that it projects into (projecting).",
-        Choice { words: &["seeing", "projecting"], set: set_mean, get: mean }),
+        Choice { words: &["seeing", "projecting"], set: texinit::set_mean, get: texinit::mean }),
     row("texinit.gutters", "", "Pad the charts with their own colours.",
         Bool(|c| &mut c.pipeline.texinit.has_gutters)),
     row("texinit.texels_per_m", "1/m", "Density of the texture; 0 takes it from the images.",
@@ -182,9 +173,9 @@ pub const PARAMETERS: &[Parameter] = &[
     row("texinit.max_texels_per_m", "1/m", "Upper bound of the density taken from the images.",
         Float(|c| &mut c.pipeline.texinit.density.max_texels_per_m, 1.0, 1e5)),
     row("texinit.max_texels", "", "Texels of all pages together; the density is lowered to fit. A texel takes 8 bytes.",
-        Access::Custom { range: "4096 ..= 17179869184", set: set_max_texels, get: max_texels }),
+        Access::Custom { range: "4096 ..= 17179869184", set: texinit::set_max_texels, get: texinit::max_texels }),
     row("texinit.page_size_texel", "", "Largest side of a page, a power of two.",
-        Choice { words: &["256", "512", "1024", "2048", "4096", "8192", "16384"], set: set_page_size, get: page_size }),
+        Choice { words: &["256", "512", "1024", "2048", "4096", "8192", "16384"], set: texinit::set_page_size, get: texinit::page_size }),
     row("texinit.gutter_texel", "", "Texels around each chart that repeat its border: 1, 2, 4 or 8 keep charts apart in mipmaps up to level 1, 2, 3 or 4.",
         Int(|c| &mut c.pipeline.texinit.pack.gutter_texel, 1, 8)),
     row("texinit.max_samples", "", "Samples along each side of a texel where the image is finer.",
@@ -272,7 +263,7 @@ pub const PARAMETERS: &[Parameter] = &[
     row("stream.remake_below_triangles", "", "Charts of fewer triangles beside changed surface are made anew with it.",
         Count(|c| &mut c.pipeline.stream.remake_below_triangles, 0, 1_000_000)),
     row("stream.page_size_texel", "texel", "Side of the pages, at most that of the atlas.",
-        Choice { words: &["256", "512", "1024", "2048", "4096", "8192", "16384"], set: set_stream_page_size, get: stream_page_size }),
+        Choice { words: &["256", "512", "1024", "2048", "4096", "8192", "16384"], set: texinit::set_stream_page_size, get: texinit::stream_page_size }),
     row("stream.min_used_share", "", "Pages are emptied into others while charts hold less than this share of them.",
         Float(|c| &mut c.pipeline.stream.min_used_share, 0.0, 1.0)),
 
@@ -323,6 +314,8 @@ pub const PARAMETERS: &[Parameter] = &[
         Float(|c| &mut c.node.idle_flush_s, 0.1, 3600.0)),
     row("paint_period", "s", "Least time between the starts of two paintings (node).",
         Float(|c| &mut c.node.paint_period_s, 0.0, 3600.0)),
+    row("refine_iterations", "", "Least steps of the optimisation that ~/refine does (node).",
+        Count(|c| &mut c.node.refine_steps, 1, 10_000_000)),
     row("publish.rate_mb", "MB/s", "What is published in a second at most, all topics together (node).",
         Float(|c| &mut c.node.publish_rate_mb, 0.1, 1e4)),
     row("publish.depth", "", "Messages that each output keeps for late joiners and for readers that lag (node).",
@@ -338,6 +331,45 @@ pub const PARAMETERS: &[Parameter] = &[
     row("http.address", "", "Address to serve on; empty means this host only (node).",
         Text(|c| &mut c.node.http_address)),
 
+    row("limits.image_px", "px", "Larger images are refused.",
+        Count(|c| &mut c.pipeline.ingest.limits.image_px, 1, 1 << 26)),
+    row("limits.mesh_vertices", "", "A mesh of more vertices is refused, and the one before stays.",
+        Count(|c| &mut c.pipeline.ingest.limits.mesh_vertices, 3, u32::MAX as usize)),
+    row("limits.mesh_triangles", "", "The same for triangles.",
+        Count(|c| &mut c.pipeline.ingest.limits.mesh_triangles, 1, u32::MAX as usize)),
+    row("limits.mesh_blocks", "", "The same for blocks.",
+        Count(|c| &mut c.pipeline.ingest.limits.mesh_blocks, 1, u32::MAX as usize)),
+    row("limits.tf_frames", "", "Frames of the transform tree; further ones are refused.",
+        Count(|c| &mut c.pipeline.ingest.limits.tf_frames, 2, 1_000_000)),
+    row("limits.tf_samples", "", "Transforms kept of one frame; the oldest goes.",
+        Count(|c| &mut c.pipeline.ingest.limits.tf_samples, 2, 1_000_000)),
+    row("limits.corrections", "", "A message that corrects more poses is refused.",
+        Count(|c| &mut c.pipeline.ingest.limits.corrections, 1, 10_000_000)),
+    row("limits.report_reasons", "", "Reasons of refusal counted apart for each topic.",
+        Count(|c| &mut c.pipeline.ingest.limits.report.reasons, 1, 1000)),
+    row("limits.report_examples", "", "Examples kept of each reason.",
+        Count(|c| &mut c.pipeline.ingest.limits.report.examples, 0, 1000)),
+    row("limits.message_bytes", "B", "Longer messages are refused (node).",
+        Count(|c| &mut c.node.limits.message_bytes, 1, u32::MAX as usize)),
+    row("limits.writers", "", "Writers of one topic that are watched for losses (node).",
+        Count(|c| &mut c.node.limits.writers, 1, 100_000)),
+    row("limits.publishers", "", "Publishers of the inputs that are looked at (node).",
+        Count(|c| &mut c.node.limits.publishers, 1, 100_000)),
+    row("limits.readers", "", "Readers of one output that are told apart; of more, late ones may miss what was sent before (node).",
+        Count(|c| &mut c.node.limits.readers, 1, 100_000)),
+    row("limits.request_bytes", "B", "Longer requests to services are not answered (node).",
+        Count(|c| &mut c.node.limits.request_bytes, 16, 1 << 26)),
+    row("limits.request_names", "", "A request that names more parameters or prefixes gets none (node).",
+        Count(|c| &mut c.node.limits.request_names, 1, 1_000_000)),
+    row("limits.path_bytes", "B", "Longer paths given to ~/save and ~/load are refused (node).",
+        Count(|c| &mut c.node.limits.path_bytes, 1, 4096)),
+    row("limits.http_clients", "", "HTTP requests that are answered at once; more are turned away (node).",
+        Count(|c| &mut c.node.limits.http_clients, 1, 1000)),
+    row("limits.http_request_bytes", "B", "Most that is read of an HTTP request (node).",
+        Count(|c| &mut c.node.limits.http_request_bytes, 64, 1 << 20)),
+    row("limits.http_silence_s", "s", "How long an HTTP client may be silent (node).",
+        Int(|c| &mut c.node.limits.http_silence_s, 1, 3600)),
+
     row("eval.held_out_views", "", "Keyframes kept from the texture to judge it by; at most a tenth of all.",
         Count(|c| &mut c.pipeline.held_out.num_views, 0, 1000)),
 
@@ -347,11 +379,11 @@ pub const PARAMETERS: &[Parameter] = &[
     row("export.provenance", "", "Write provenance/: which frame painted each texel, and how far to trust it.",
         Bool(|c| &mut c.export.provenance)),
     row("export.glb_images", "", "How the GLB carries its pages.",
-        Choice { words: &["png", "jpeg"], set: set_glb_images, get: glb_images }),
+        Choice { words: &["png", "jpeg"], set: export::set_glb_images, get: export::glb_images }),
     row("export.jpeg_quality", "", "Quality of the GLB's pages as JPEG; setting it chooses JPEG.",
-        Access::Custom { range: "1 ..= 100", set: set_jpeg_quality, get: jpeg_quality }),
+        Access::Custom { range: "1 ..= 100", set: export::set_jpeg_quality, get: export::jpeg_quality }),
     row("export.normals", "", "Normals in the GLB: one per vertex, or one per triangle.",
-        Choice { words: &["smooth", "flat"], set: set_normals, get: normals }),
+        Choice { words: &["smooth", "flat"], set: export::set_normals, get: export::normals }),
 
     row("publish.block_bytes", "B", "No message published is longer: longer ones do not arrive.",
         Count(|c| &mut c.publish.max_message_bytes, 8192, 190_000)),
@@ -383,378 +415,4 @@ fn pose_source(config: &Config) -> &'static str {
         PoseSource::Pose => "pose",
         PoseSource::Odom => "odom",
     }
-}
-
-fn set_mode(config: &mut Config, word: &str) {
-    config.pipeline.texinit = match word {
-        "paper" => TexInitParams::paper(),
-        _ => TexInitParams::default(),
-    };
-}
-
-fn mode(config: &Config) -> &'static str {
-    match config.pipeline.texinit.flatten.mode {
-        ChartMode::Streaming => "streaming",
-        ChartMode::Paper => "paper",
-    }
-}
-
-fn set_coupling(config: &mut Config, word: &str) {
-    config.pipeline.texinit.coupling = match word {
-        "chart" => Coupling::Chart,
-        _ => Coupling::Scan,
-    };
-}
-
-fn coupling(config: &Config) -> &'static str {
-    match config.pipeline.texinit.coupling {
-        Coupling::Scan => "scan",
-        Coupling::Chart => "chart",
-    }
-}
-
-fn set_overlap_form(config: &mut Config, word: &str) {
-    config.pipeline.texinit.overlap.form = match word {
-        "reference" => OverlapForm::Reference,
-        _ => OverlapForm::Printed,
-    };
-}
-
-fn overlap_form(config: &Config) -> &'static str {
-    match config.pipeline.texinit.overlap.form {
-        OverlapForm::Printed => "printed",
-        OverlapForm::Reference => "reference",
-    }
-}
-
-fn set_chart_boundary(config: &mut Config, word: &str) {
-    config.pipeline.texinit.flatten.boundary = match word {
-        "disk" => ChartBoundary::Disk,
-        _ => ChartBoundary::Isometric,
-    };
-}
-
-fn chart_boundary(config: &Config) -> &'static str {
-    match config.pipeline.texinit.flatten.boundary {
-        ChartBoundary::Isometric => "isometric",
-        ChartBoundary::Disk => "disk",
-    }
-}
-
-fn set_init(config: &mut Config, word: &str) {
-    config.pipeline.texinit.transfer.mode = match word {
-        "l2avg" => TransferMode::L2Avg,
-        _ => TransferMode::Assigned,
-    };
-}
-
-fn init(config: &Config) -> &'static str {
-    match config.pipeline.texinit.transfer.mode {
-        TransferMode::Assigned => "assigned",
-        TransferMode::L2Avg => "l2avg",
-    }
-}
-
-fn set_size_rule(config: &mut Config, word: &str) {
-    config.pipeline.texinit.size_rule = match word {
-        "paper" => SizeRule::Paper,
-        _ => SizeRule::Density,
-    };
-}
-
-fn size_rule(config: &Config) -> &'static str {
-    match config.pipeline.texinit.size_rule {
-        SizeRule::Density => "density",
-        SizeRule::Paper => "paper",
-    }
-}
-
-fn set_depth_cue(config: &mut Config, word: &str) {
-    config.pipeline.texinit.assign.depth_cue = match word {
-        "sum" => DepthCue::DepthSum,
-        _ => DepthCue::LargestRange,
-    };
-}
-
-fn depth_cue(config: &Config) -> &'static str {
-    match config.pipeline.texinit.assign.depth_cue {
-        DepthCue::LargestRange => "largest",
-        DepthCue::DepthSum => "sum",
-    }
-}
-
-fn set_color_cue(config: &mut Config, word: &str) {
-    config.pipeline.texinit.assign.color_cue = match word {
-        "vertex" => ColorCue::ValidAtVertex,
-        "triangle" => ColorCue::ValidForTriangle,
-        _ => ColorCue::SeeingFrames,
-    };
-}
-
-fn color_cue(config: &Config) -> &'static str {
-    match config.pipeline.texinit.assign.color_cue {
-        ColorCue::SeeingFrames => "seeing",
-        ColorCue::ValidAtVertex => "vertex",
-        ColorCue::ValidForTriangle => "triangle",
-    }
-}
-
-fn set_lookup(config: &mut Config, word: &str) {
-    config.pipeline.texinit.transfer.lookup = match word {
-        "nearest" => Lookup::NearestAffine,
-        _ => Lookup::Footprint,
-    };
-}
-
-fn lookup(config: &Config) -> &'static str {
-    match config.pipeline.texinit.transfer.lookup {
-        Lookup::Footprint => "footprint",
-        Lookup::NearestAffine => "nearest",
-    }
-}
-
-fn set_mean(config: &mut Config, word: &str) {
-    config.pipeline.texinit.transfer.mean_form = match word {
-        "projecting" => MeanForm::Projecting,
-        _ => MeanForm::Seeing,
-    };
-}
-
-fn mean(config: &Config) -> &'static str {
-    match config.pipeline.texinit.transfer.mean_form {
-        MeanForm::Seeing => "seeing",
-        MeanForm::Projecting => "projecting",
-    }
-}
-
-fn set_pairwise_weight(config: &mut Config, text: &str) -> Option<()> {
-    let weight: f32 = text.parse().ok()?;
-    if !(0.0..=100.0).contains(&weight) {
-        return None;
-    }
-    let pairwise = &mut config.pipeline.texinit.assign.pairwise;
-    if weight > 0.0 {
-        pairwise.get_or_insert_default().weight = weight;
-    } else {
-        *pairwise = None;
-    }
-    Some(())
-}
-
-fn pairwise_weight(config: &Config) -> String {
-    let pairwise = &config.pipeline.texinit.assign.pairwise;
-    pairwise.as_ref().map_or(0.0, |p| p.weight).to_string()
-}
-
-fn unit_interval(text: &str) -> Option<f64> {
-    let value: f64 = text.parse().ok()?;
-    (0.0..=1.0).contains(&value).then_some(value)
-}
-
-fn set_occlusion_tolerance(config: &mut Config, text: &str) -> Option<()> {
-    let assign = &mut config.pipeline.texinit.assign;
-    assign.visibility.get_or_insert_default().tolerance_m = unit_interval(text)?;
-    Some(())
-}
-
-fn occlusion_tolerance(config: &Config) -> String {
-    let visibility = config.pipeline.texinit.assign.visibility.clone();
-    visibility.unwrap_or_default().tolerance_m.to_string()
-}
-
-fn set_relative_tolerance(config: &mut Config, text: &str) -> Option<()> {
-    let assign = &mut config.pipeline.texinit.assign;
-    assign.visibility.get_or_insert_default().relative_tolerance = unit_interval(text)?;
-    Some(())
-}
-
-fn relative_tolerance(config: &Config) -> String {
-    let visibility = config.pipeline.texinit.assign.visibility.clone();
-    visibility
-        .unwrap_or_default()
-        .relative_tolerance
-        .to_string()
-}
-
-fn set_memory_budget(config: &mut Config, text: &str) -> Option<()> {
-    let budget_mb: f64 = text.parse().ok()?;
-    if budget_mb != 0.0 && !(128.0..=1e6).contains(&budget_mb) {
-        return None;
-    }
-    config.pipeline.memory.budget_mb = budget_mb;
-    Some(())
-}
-
-fn memory_budget(config: &Config) -> String {
-    config.pipeline.memory.budget_mb.to_string()
-}
-
-fn set_max_texels(config: &mut Config, text: &str) -> Option<()> {
-    let num_texels: u64 = text.parse().ok()?;
-    if !(4096..=1 << 34).contains(&num_texels) {
-        return None;
-    }
-    config.pipeline.texinit.pack.max_texels = num_texels;
-    Some(())
-}
-
-fn max_texels(config: &Config) -> String {
-    config.pipeline.texinit.pack.max_texels.to_string()
-}
-
-const PAGE_SIZES: [(&str, u32); 7] = [
-    ("256", 256),
-    ("512", 512),
-    ("1024", 1024),
-    ("2048", 2048),
-    ("4096", 4096),
-    ("8192", 8192),
-    ("16384", 16384),
-];
-
-fn set_page_size(config: &mut Config, word: &str) {
-    if let Some((_, size)) = PAGE_SIZES.iter().find(|(name, _)| *name == word) {
-        config.pipeline.texinit.pack.page_size_texel = *size;
-    }
-}
-
-fn page_size(config: &Config) -> &'static str {
-    page_size_word(config.pipeline.texinit.pack.page_size_texel)
-}
-
-fn set_stream_page_size(config: &mut Config, word: &str) {
-    if let Some((_, size)) = PAGE_SIZES.iter().find(|(name, _)| *name == word) {
-        config.pipeline.stream.page_size_texel = *size;
-    }
-}
-
-fn stream_page_size(config: &Config) -> &'static str {
-    page_size_word(config.pipeline.stream.page_size_texel)
-}
-
-fn page_size_word(current: u32) -> &'static str {
-    PAGE_SIZES
-        .iter()
-        .find(|(_, size)| *size == current)
-        .map_or("4096", |(name, _)| name)
-}
-
-fn set_glb_images(config: &mut Config, word: &str) {
-    config.export.glb_pages = match (word, config.export.glb_pages) {
-        ("jpeg", PageFormat::Png) => PageFormat::Jpeg {
-            quality: JPEG_QUALITY,
-        },
-        ("jpeg", jpeg) => jpeg,
-        _ => PageFormat::Png,
-    };
-}
-
-fn glb_images(config: &Config) -> &'static str {
-    match config.export.glb_pages {
-        PageFormat::Png => "png",
-        PageFormat::Jpeg { .. } => "jpeg",
-    }
-}
-
-fn set_jpeg_quality(config: &mut Config, text: &str) -> Option<()> {
-    let wanted: u8 = text.parse().ok()?;
-    if !(1..=100).contains(&wanted) {
-        return None;
-    }
-    if let PageFormat::Jpeg { quality } = &mut config.export.glb_pages {
-        *quality = wanted;
-    } else if wanted != JPEG_QUALITY {
-        config.export.glb_pages = PageFormat::Jpeg { quality: wanted };
-    }
-    Some(())
-}
-
-fn jpeg_quality(config: &Config) -> String {
-    match config.export.glb_pages {
-        PageFormat::Png => JPEG_QUALITY.to_string(),
-        PageFormat::Jpeg { quality } => quality.to_string(),
-    }
-}
-
-fn set_normals(config: &mut Config, word: &str) {
-    config.export.normals = match word {
-        "flat" => NormalMode::Flat,
-        _ => NormalMode::Smooth,
-    };
-}
-
-fn normals(config: &Config) -> &'static str {
-    match config.export.normals {
-        NormalMode::Smooth => "smooth",
-        NormalMode::Flat => "flat",
-    }
-}
-
-/// Values of `config` as a ROS 2 parameter file.
-pub fn to_yaml(config: &mut Config) -> String {
-    let mut text = "/**:\n  ros__parameters:\n".to_owned();
-    for parameter in PARAMETERS {
-        let value = parameter.get(config);
-        let quoted = match parameter.access {
-            Text(_) | Choice { .. } => format!("\"{value}\""),
-            _ => value,
-        };
-        text += &format!(
-            "    # {} ({})\n    {}: {quoted}\n",
-            parameter.description,
-            parameter.range(),
-            parameter.name
-        );
-    }
-    text
-}
-
-/// Values of `config` as `docs/parameters.md`.
-pub fn to_markdown(config: &mut Config) -> String {
-    let mut text = "\
-# Parameters
-
-Written by `veneer params --markdown`. Set them with `--param NAME:=VALUE` or in a ROS 2 parameter
-file with `--params-file FILE` (`veneer params --yaml` writes one with the defaults). An unknown name
-or a value outside its range is refused.
-
-| name | default | range | what it does |
-|---|---|---|---|
-"
-    .to_owned();
-    for parameter in PARAMETERS {
-        let value = parameter.get(config);
-        let shown = if value.is_empty() { "(empty)" } else { &value };
-        text += &format!(
-            "| `{}` | {shown} | {} | {} |\n",
-            parameter.name,
-            parameter.range().replace('|', "\\|"),
-            parameter.description
-        );
-    }
-    text
-}
-
-/// Values of `config` as a table for a terminal.
-pub fn to_table(config: &mut Config) -> String {
-    let mut text = String::new();
-    for parameter in PARAMETERS {
-        let value = parameter.get(config);
-        text += &format!(
-            "{} = {value}  ({})\n    {}\n",
-            parameter.name,
-            parameter.range(),
-            parameter.description
-        );
-    }
-    text
-}
-
-/// Values of `config` as a JSON object of strings.
-pub fn to_json(config: &mut Config) -> serde_json::Value {
-    let entries = PARAMETERS.iter().map(|parameter| {
-        let value = parameter.get(config);
-        (parameter.name.to_owned(), serde_json::Value::String(value))
-    });
-    serde_json::Value::Object(entries.collect())
 }

@@ -8,14 +8,16 @@
 //!
 //! Each message that is pushed is counted as used or refused in the end, see [`IngestReport`].
 
+mod corrections;
+
 use std::collections::VecDeque;
 use std::sync::Arc;
 
 use super::clock::nanos_from_seconds;
-use super::event::{Event, Header, MeshUpdate, StampedTransform};
+use super::event::{Event, Header, MeshUpdate, PoseCorrection, StampedTransform};
 use super::info_match::{InfoMatcher, Matched};
 use super::mesh_buffer::MeshBuffer;
-use super::params::IngestParams;
+use super::params::{IngestLimits, IngestParams};
 use super::pose_buffer::{LookupError, TransformRefusal, normalized_frame};
 use super::pose_lookup::{Attempt, DepthPose, DepthStamps, PoseLookup};
 use super::report::{IngestReport, reason_class};
@@ -40,12 +42,33 @@ pub enum Assembled {
     Frame(PosedFrame),
     /// The mesh as it now is, all of it, in the world frame.
     Mesh(Arc<TriMesh>),
+    /// Better poses of frames that were given out before, in the world frame.
+    Corrections(Vec<PoseCorrection>),
 }
 
 #[derive(Debug)]
 enum Pixels {
     Color(EncodedColor),
     Depth(EncodedDepth),
+}
+
+impl Pixels {
+    fn size_px(&self) -> (u32, u32) {
+        match self {
+            Self::Color(color) => (color.width(), color.height()),
+            Self::Depth(depth) => (depth.width(), depth.height()),
+        }
+    }
+
+    fn check(&self, max_px: usize) -> Result<(), String> {
+        let (width, height) = self.size_px();
+        if u64::from(width) * u64::from(height) > max_px as u64 {
+            return Err(format!(
+                "image of {width}x{height} pixels, limits.image_px is {max_px}"
+            ));
+        }
+        Ok(())
+    }
 }
 
 #[derive(Debug)]
@@ -86,6 +109,8 @@ pub struct Assembler {
     jump_back_ns: u64,
     pose_queue_size: usize,
     camera_frame: Option<Arc<str>>,
+    /// The frame of the last colour image.
+    seen_camera_frame: Option<Arc<str>>,
     color_infos: InfoMatcher<Image>,
     depth_infos: InfoMatcher<Image>,
     sync: Synchronizer<Image>,
@@ -93,6 +118,8 @@ pub struct Assembler {
     frames: VecDeque<WaitingFrame>,
     meshes: VecDeque<WaitingMesh>,
     mesh: MeshBuffer,
+    corrections: Vec<PoseCorrection>,
+    limits: IngestLimits,
     now: Stamp,
     report: IngestReport,
 }
@@ -101,11 +128,9 @@ impl Assembler {
     /// An assembler for a stream whose events refer to these topics.
     pub fn new(params: &IngestParams, topics: &[String]) -> Self {
         let poses = PoseLookup::new(params);
-        let mut report = IngestReport {
-            world_frame: poses.world().map(ToString::to_string),
-            pose_source: poses.source_name(),
-            ..IngestReport::default()
-        };
+        let mut report = IngestReport::new(params.limits.report);
+        report.world_frame = poses.world().map(ToString::to_string);
+        report.pose_source = poses.source_name();
         for topic in topics {
             report.topic(topic);
         }
@@ -119,6 +144,7 @@ impl Assembler {
                 .camera_frame_id
                 .as_deref()
                 .map(|name| Arc::from(normalized_frame(name))),
+            seen_camera_frame: None,
             color_infos: InfoMatcher::new(params.sync_queue_size),
             depth_infos: InfoMatcher::new(params.sync_queue_size),
             sync: Synchronizer::new(&SyncParams {
@@ -134,6 +160,8 @@ impl Assembler {
             frames: VecDeque::new(),
             meshes: VecDeque::new(),
             mesh: MeshBuffer::default(),
+            corrections: Vec::new(),
+            limits: params.limits,
             now: Stamp::default(),
             report,
         }
@@ -224,11 +252,22 @@ impl Assembler {
                 self.count_pose(topic, &header, result);
             }
             Event::Mesh(header, update, soup) => self.take_mesh(topic, header, update, soup),
+            Event::Corrections(header, body, corrections) => {
+                self.take_corrections(topic, &header, body, &corrections);
+            }
         }
     }
 
     fn take_image(&mut self, topic: usize, header: Header, pixels: Pixels) {
+        if let Err(reason) = pixels.check(self.limits.image_px) {
+            self.topic_report(topic)
+                .refuse(&reason_class(&reason), header.stamp, &reason);
+            return;
+        }
         let is_color = matches!(pixels, Pixels::Color(_));
+        if is_color {
+            self.seen_camera_frame = Some(Arc::from(normalized_frame(&header.frame_id)));
+        }
         let image = Stamped {
             stamp: header.stamp,
             payload: Image {
@@ -381,6 +420,11 @@ impl Assembler {
     /// Third step: meshes and frames whose transforms are known leave.
     fn give_out(&mut self, is_end: bool, out: &mut Vec<Assembled>) {
         self.give_out_mesh(is_end, out);
+        if !self.corrections.is_empty() {
+            out.push(Assembled::Corrections(std::mem::take(
+                &mut self.corrections,
+            )));
+        }
         while let Some(frame) = self.frames.front() {
             let is_overdue = is_end
                 || self.frames.len() > self.pose_queue_size
@@ -415,11 +459,7 @@ impl Assembler {
             match self.try_lookup(is_overdue, |poses, attempt| {
                 poses.world_from_mesh(&frame, mesh.header.stamp, attempt)
             }) {
-                Ok(world_from_mesh) => {
-                    self.mesh.apply(mesh.update, &world_from_mesh);
-                    self.topic_report(mesh.topic).num_used += 1;
-                    has_changed = true;
-                }
+                Ok(world_from_mesh) => has_changed |= self.apply_mesh(mesh, &world_from_mesh),
                 Err(error) if !is_overdue && error.may_resolve() => {
                     self.meshes.push_front(mesh);
                     break;
@@ -437,6 +477,19 @@ impl Assembler {
                 Err(error) => self.assume(&format!("the mesh is not given out: {error}")),
             }
         }
+    }
+
+    /// Whether the mesh changed.
+    fn apply_mesh(&mut self, mesh: WaitingMesh, world_from_mesh: &RigidTransform) -> bool {
+        if let Err(error) = self.mesh.check(&mesh.update, &self.limits) {
+            let (stamp, words) = (mesh.header.stamp, error.to_string());
+            self.topic_report(mesh.topic)
+                .refuse(&reason_class(&words), stamp, &words);
+            return false;
+        }
+        self.mesh.apply(mesh.update, world_from_mesh);
+        self.topic_report(mesh.topic).num_used += 1;
+        true
     }
 
     /// Looks up exactly first; with tolerance once nothing better will come.
@@ -612,10 +665,7 @@ fn not_yet(is_overdue: bool, error: &LookupError) -> NotYet {
 
 /// Why an image's intrinsics cannot be used.
 fn unusable_camera(image: &Image) -> Option<String> {
-    let (width, height) = match &image.pixels {
-        Pixels::Color(color) => (color.width(), color.height()),
-        Pixels::Depth(depth) => (depth.width(), depth.height()),
-    };
+    let (width, height) = image.pixels.size_px();
     let Some(camera) = image.camera else {
         return Some("no camera info".to_owned());
     };

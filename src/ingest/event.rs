@@ -25,6 +25,25 @@ pub struct StampedTransform {
     pub parent_from_child: RigidTransform,
 }
 
+/// A better pose of a frame of the past.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PoseCorrection {
+    /// When the colour image was taken.
+    pub stamp: Stamp,
+    /// In the event: pose of the body in the header's frame. Given out: pose of the colour camera's
+    /// optical frame in the world.
+    pub pose: RigidTransform,
+}
+
+/// Whose poses corrections are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CorrectedBody {
+    /// The colour camera's optical frame.
+    Camera,
+    /// What the configuration names as the frame of poses, else the colour camera.
+    PoseFrame,
+}
+
 /// A change of the mesh, in its header's frame.
 #[derive(Clone, Debug, PartialEq)]
 pub enum MeshUpdate {
@@ -63,6 +82,8 @@ pub enum Event {
     Pose(Header, RigidTransform),
     /// Odometry: pose of the child frame in the header's frame.
     Odometry(StampedTransform),
+    /// Better poses of frames of the past, in any order: a loop was closed.
+    Corrections(Header, CorrectedBody, Vec<PoseCorrection>),
     /// The mesh changed; the report counts what the soup lost on the way.
     Mesh(Header, MeshUpdate, SoupReport),
 }

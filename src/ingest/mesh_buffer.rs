@@ -7,8 +7,21 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use super::event::{MeshBlockKey, MeshUpdate};
+use super::params::IngestLimits;
 use crate::geom::RigidTransform;
 use crate::mesh::{MeshError, TriMesh};
+
+/// An update that would make the mesh larger than it may be; the mesh stays as it was.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("the mesh would have {actual} {what}, limits.mesh_{what} is {limit}")]
+pub struct MeshTooLarge {
+    /// `blocks`, `vertices` or `triangles`.
+    pub what: &'static str,
+    /// How many there would be.
+    pub actual: usize,
+    /// How many there may be.
+    pub limit: usize,
+}
 
 /// The current parts of the mesh.
 #[derive(Clone, Debug, Default)]
@@ -41,6 +54,47 @@ impl MeshBuffer {
                 }
             }
         }
+    }
+
+    /// Whether the mesh stays within its limits with an update.
+    ///
+    /// # Errors
+    /// [`MeshTooLarge`] when it does not.
+    pub fn check(&self, update: &MeshUpdate, limits: &IngestLimits) -> Result<(), MeshTooLarge> {
+        let [num_blocks, num_vertices, num_triangles] = match update {
+            MeshUpdate::Whole(mesh) => [1, mesh.num_vertices(), mesh.num_triangles()],
+            MeshUpdate::Blocks { clear, blocks } => self.size_with(*clear, blocks),
+        };
+        for (what, actual, limit) in [
+            ("blocks", num_blocks, limits.mesh_blocks),
+            ("vertices", num_vertices, limits.mesh_vertices),
+            ("triangles", num_triangles, limits.mesh_triangles),
+        ] {
+            if actual > limit {
+                return Err(MeshTooLarge {
+                    what,
+                    actual,
+                    limit,
+                });
+            }
+        }
+        Ok(())
+    }
+
+    /// Blocks, vertices and triangles once `blocks` are in; of blocks of one key the last counts.
+    fn size_with(&self, clear: bool, blocks: &[(MeshBlockKey, TriMesh)]) -> [usize; 3] {
+        let new: BTreeMap<MeshBlockKey, &TriMesh> =
+            blocks.iter().map(|(key, block)| (*key, block)).collect();
+        let kept = self.block_by_key.iter();
+        let kept = kept.filter(|(key, _)| !clear && !new.contains_key(key));
+        let mut size = [0; 3];
+        let new_blocks = new.values().copied().filter(|b| b.num_triangles() > 0);
+        for block in kept.map(|(_, block)| block).chain(new_blocks) {
+            size[0] += 1;
+            size[1] += block.num_vertices();
+            size[2] += block.num_triangles();
+        }
+        size
     }
 
     /// How many blocks there are.
@@ -145,5 +199,40 @@ mod tests {
             RigidTransform::try_from_quaternion([0.0, 0.0, 0.0, 1.0], [10.0, 0.0, 0.0]).unwrap();
         buffer.apply(blocks(false, vec![(0, triangle(1.0))]), &there);
         assert_eq!(xs(&buffer), [11.0]);
+    }
+
+    #[test]
+    fn what_would_grow_too_large_is_refused_by_what_there_would_be() {
+        let mut buffer = MeshBuffer::default();
+        let limits = IngestLimits {
+            mesh_blocks: 2,
+            mesh_triangles: 3,
+            mesh_vertices: 100,
+            ..IngestLimits::default()
+        };
+        let two = blocks(false, vec![(1, triangle(1.0)), (2, triangle(2.0))]);
+        assert_eq!(buffer.check(&two, &limits), Ok(()));
+        buffer.apply(two.clone(), &RigidTransform::identity());
+        // The same again replaces; another key would be a third block.
+        assert_eq!(buffer.check(&two, &limits), Ok(()));
+        let third = |clear| blocks(clear, vec![(3, triangle(3.0))]);
+        let refused = buffer.check(&third(false), &limits).unwrap_err();
+        assert_eq!(
+            ("blocks", 3, 2),
+            (refused.what, refused.actual, refused.limit)
+        );
+        assert_eq!(buffer.check(&third(true), &limits), Ok(()));
+        let instead = vec![(1, TriMesh::default()), (3, triangle(3.0))];
+        assert_eq!(buffer.check(&blocks(false, instead), &limits), Ok(()));
+        let whole = MeshUpdate::Whole(triangle(0.0));
+        let vertices = IngestLimits {
+            mesh_vertices: 2,
+            ..limits
+        };
+        let refused = buffer.check(&whole, &vertices).unwrap_err();
+        assert_eq!(
+            refused.to_string(),
+            "the mesh would have 3 vertices, limits.mesh_vertices is 2"
+        );
     }
 }

@@ -15,6 +15,60 @@ pub enum PoseSource {
     Odom,
 }
 
+/// What a stream may at most make ingest hold. What goes beyond is refused and counted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct IngestLimits {
+    /// Pixels of an image, ≥ 1.
+    pub image_px: usize,
+    /// Vertices of the mesh, all blocks together, ≥ 1.
+    pub mesh_vertices: usize,
+    /// Triangles of the mesh, all blocks together, ≥ 1.
+    pub mesh_triangles: usize,
+    /// Blocks of the mesh, ≥ 1.
+    pub mesh_blocks: usize,
+    /// Frames of the transform tree, ≥ 1.
+    pub tf_frames: usize,
+    /// Transforms kept of one moving frame, ≥ 2.
+    pub tf_samples: usize,
+    /// Poses of one message of corrections, ≥ 1.
+    pub corrections: usize,
+    /// How much is noted of what was refused.
+    pub report: ReportLimits,
+}
+
+/// How much is noted of what was refused; the counts miss nothing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ReportLimits {
+    /// Reasons kept apart for one topic, ≥ 1; rarer ones are counted together.
+    pub reasons: usize,
+    /// Examples kept of each reason.
+    pub examples: usize,
+}
+
+impl Default for ReportLimits {
+    fn default() -> Self {
+        Self {
+            reasons: 24,
+            examples: 3,
+        }
+    }
+}
+
+impl Default for IngestLimits {
+    fn default() -> Self {
+        Self {
+            image_px: 1 << 26,
+            mesh_vertices: 20_000_000,
+            mesh_triangles: 20_000_000,
+            mesh_blocks: 1_000_000,
+            tf_frames: 1 << 12,
+            tf_samples: 1 << 14,
+            corrections: 100_000,
+            report: ReportLimits::default(),
+        }
+    }
+}
+
 /// Settings of synchronisation, pose lookup and mesh assembly.
 #[derive(Clone, Debug, PartialEq)]
 pub struct IngestParams {
@@ -52,6 +106,8 @@ pub struct IngestParams {
     /// A stream whose stamps fall back by more than this, seconds, > 0, twice in a row has
     /// restarted its clock.
     pub clock_jump_back_s: f64,
+    /// What the stream may at most make ingest hold.
+    pub limits: IngestLimits,
 }
 
 impl Default for IngestParams {
@@ -71,6 +127,7 @@ impl Default for IngestParams {
             max_extrapolation_s: 0.01,
             max_interpolation_gap_s: 0.5,
             clock_jump_back_s: 1.0,
+            limits: IngestLimits::default(),
         }
     }
 }

@@ -18,10 +18,6 @@ use super::event::StampedTransform;
 use super::params::IngestParams;
 use crate::geom::{RigidTransform, Stamp};
 
-/// Samples kept of one moving edge, whatever their rate.
-const MAX_SAMPLES: usize = 1 << 14;
-/// Frames of one tree: a publisher that invents names must not fill the memory.
-const MAX_FRAMES: usize = 1 << 12;
 /// Motion that a long gap may hide: a camera on a stand trembles less.
 const STILL_M: f64 = 0.01;
 const STILL_RAD: f64 = 0.01;
@@ -173,6 +169,10 @@ struct Limits {
     buffer_ns: u64,
     max_gap_ns: u64,
     jump_back_ns: u64,
+    /// Of one moving edge, whatever their rate.
+    max_samples: usize,
+    /// A publisher that invents names must not fill the memory.
+    max_frames: usize,
 }
 
 impl Limits {
@@ -181,6 +181,8 @@ impl Limits {
             buffer_ns: nanos_from_seconds(params.tf_buffer_s),
             max_gap_ns: nanos_from_seconds(params.max_interpolation_gap_s),
             jump_back_ns: nanos_from_seconds(params.clock_jump_back_s),
+            max_samples: params.limits.tf_samples,
+            max_frames: params.limits.tf_frames,
         }
     }
 }
@@ -225,7 +227,7 @@ impl Track {
         };
         // Two samples always stay: slow transforms would otherwise never bracket a stamp.
         while self.samples.len() > 2
-            && (self.samples.len() > MAX_SAMPLES
+            && (self.samples.len() > limits.max_samples
                 || self
                     .samples
                     .front()
@@ -379,7 +381,8 @@ impl TransformTree {
         if parent == child {
             return Err(TransformRefusal::SelfParent);
         }
-        if self.edge_by_child.len() >= MAX_FRAMES && !self.edge_by_child.contains_key(&child) {
+        let is_full = self.edge_by_child.len() >= self.limits.max_frames;
+        if is_full && !self.edge_by_child.contains_key(&child) {
             return Err(TransformRefusal::TooManyFrames);
         }
         let parent_from_child = transform.parent_from_child;

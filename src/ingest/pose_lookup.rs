@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use super::event::CorrectedBody;
 use super::params::{IngestParams, PoseSource};
 use super::pose_buffer::{LookupError, PoseTrack, TransformTree};
 use crate::geom::{RigidTransform, Stamp};
@@ -210,6 +211,26 @@ impl PoseLookup {
             return self.world_from(mesh_frame, Stamp::from_nanos(i64::MAX), latest);
         }
         self.world_from(mesh_frame, stamp, attempt)
+    }
+
+    /// The camera's pose in the world by a correction of a body's pose in `frame`.
+    pub(super) fn world_from_corrected(
+        &mut self,
+        frame: &str,
+        body: CorrectedBody,
+        camera: &str,
+        stamp: Stamp,
+        frame_from_body: RigidTransform,
+        tolerance_s: f64,
+    ) -> Result<RigidTransform, LookupError> {
+        let world_from_frame = self.world_from(frame, stamp, Attempt::Last { tolerance_s })?;
+        let body_from_camera = match (body, &self.pose_frame) {
+            (CorrectedBody::PoseFrame, Some(child)) => {
+                self.tree.lookup(child, camera, stamp, tolerance_s)?
+            }
+            _ => RigidTransform::identity(),
+        };
+        Ok(world_from_frame * frame_from_body * body_from_camera)
     }
 
     /// Where the colour camera is in the depth camera's frame, both on the same body, with the

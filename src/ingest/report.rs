@@ -5,14 +5,10 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use super::params::ReportLimits;
 use crate::geom::Stamp;
 
-/// Reasons kept apart for one topic; rarer ones are counted together.
-const MAX_REASONS: usize = 24;
-/// Examples kept of each reason.
-const MAX_EXAMPLES: usize = 3;
-
-/// Reason that stands for all past [`MAX_REASONS`].
+/// Reason that stands for all past [`ReportLimits::reasons`].
 const OTHER_REASONS: &str = "other reasons";
 
 /// Counts of one reason, with a few examples that name stamp and values.
@@ -33,9 +29,17 @@ pub struct TopicReport {
     pub num_used: u64,
     /// Messages that did not, by reason.
     pub refused_by_reason: BTreeMap<String, RefusalCount>,
+    limits: ReportLimits,
 }
 
 impl TopicReport {
+    fn new(limits: ReportLimits) -> Self {
+        Self {
+            limits,
+            ..Self::default()
+        }
+    }
+
     /// Messages that were refused, for any reason.
     pub fn num_refused(&self) -> u64 {
         self.refused_by_reason.values().map(|count| count.num).sum()
@@ -43,14 +47,14 @@ impl TopicReport {
 
     pub(super) fn refuse(&mut self, reason: &str, stamp: Stamp, text: &str) {
         let is_known = self.refused_by_reason.contains_key(reason);
-        let reason = if is_known || self.refused_by_reason.len() < MAX_REASONS {
+        let reason = if is_known || self.refused_by_reason.len() < self.limits.reasons {
             reason
         } else {
             OTHER_REASONS
         };
         let count = self.refused_by_reason.entry(reason.to_owned()).or_default();
         count.num += 1;
-        if count.examples.len() < MAX_EXAMPLES {
+        if count.examples.len() < self.limits.examples {
             count.examples.push(format!("{stamp}: {text}"));
         }
     }
@@ -99,11 +103,21 @@ pub struct IngestReport {
     pub num_dropped_triangles: u64,
     /// What was assumed where the stream was silent, in words; each once.
     pub assumptions: BTreeSet<String>,
+    limits: ReportLimits,
 }
 
 impl IngestReport {
+    pub(super) fn new(limits: ReportLimits) -> Self {
+        Self {
+            transforms: TopicReport::new(limits),
+            limits,
+            ..Self::default()
+        }
+    }
+
     pub(super) fn topic(&mut self, name: &str) -> &mut TopicReport {
-        self.topics.entry(name.to_owned()).or_default()
+        let topic = self.topics.entry(name.to_owned());
+        topic.or_insert_with(|| TopicReport::new(self.limits))
     }
 
     pub(super) fn count_pair(&mut self, interval_s: f64) {
@@ -140,19 +154,20 @@ mod tests {
 
     #[test]
     fn reasons_and_examples_are_bounded_and_nothing_is_uncounted() {
-        let mut topic = TopicReport::default();
+        let limits = ReportLimits {
+            reasons: 5,
+            examples: 2,
+        };
+        let mut report = IngestReport::new(limits);
+        let topic = report.topic("/a");
         for i in 0..1000u32 {
             let reason = format!("reason {}", char::from_u32(0x4e00 + i % 100).unwrap());
             topic.refuse(&reason, Stamp::from_nanos(0), "text");
         }
         assert_eq!(topic.num_refused(), 1000);
-        assert!(topic.refused_by_reason.len() <= MAX_REASONS + 1);
-        assert!(
-            topic
-                .refused_by_reason
-                .values()
-                .all(|c| c.examples.len() <= MAX_EXAMPLES)
-        );
+        assert_eq!(topic.refused_by_reason.len(), 6);
+        let mut counts = topic.refused_by_reason.values();
+        assert!(counts.all(|count| count.examples.len() == 2));
     }
 
     #[test]

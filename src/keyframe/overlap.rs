@@ -63,6 +63,27 @@ impl View {
         }
     }
 
+    /// The same surface as seen from another pose of the camera.
+    pub(super) fn moved_to(&self, world_from_camera: &RigidTransform) -> Self {
+        let moved = *world_from_camera * self.camera_from_world;
+        let center_in_world = Point3::from(*world_from_camera.translation());
+        let samples = self.samples.map(|sample| {
+            let point_in_world = moved.transform_point(&sample.point_in_world);
+            let ray = point_in_world - center_in_world;
+            Sample {
+                point_in_world,
+                ray_in_world: ray / sample.distance_m.max(f64::MIN_POSITIVE),
+                distance_m: sample.distance_m,
+            }
+        });
+        Self {
+            camera: self.camera,
+            camera_from_world: world_from_camera.inverse(),
+            center_in_world,
+            samples,
+        }
+    }
+
     /// Which samples of `self` another view shows, one bit each.
     pub(super) fn shown_by(&self, other: &Self) -> u32 {
         self.samples

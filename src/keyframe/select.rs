@@ -40,6 +40,9 @@ pub struct KeyframeParams {
     pub max_mean_luma: f64,
     /// Largest share of clipped pixels, 0–1.
     pub max_clipped: f64,
+    /// How far the stamp of a corrected pose may lie from a keyframe's, seconds, ≥ 0: stamps that
+    /// went through floating point come back a little off.
+    pub max_correction_interval_s: f64,
 }
 
 impl Default for KeyframeParams {
@@ -57,6 +60,7 @@ impl Default for KeyframeParams {
             min_mean_luma: 0.03,
             max_mean_luma: 0.97,
             max_clipped: 0.8,
+            max_correction_interval_s: 0.001,
         }
     }
 }

@@ -14,7 +14,9 @@ use super::frame::{FrameQuality, Keyframe, KeyframeId};
 use super::overlap::{NUM_SAMPLES, View, covered_share};
 use super::quality;
 use super::select::{Choice, KeyframeParams, Selector};
-use crate::geom::{DepthImage, EncodedColor, FrameDepth, ImageError, PosedFrame};
+use crate::geom::{
+    DepthImage, EncodedColor, FrameDepth, ImageError, PosedFrame, RigidTransform, Stamp,
+};
 
 /// Examples kept of depth images that were refused.
 const MAX_EXAMPLES: usize = 3;
@@ -85,6 +87,10 @@ pub struct KeyframeReport {
     pub num_depth_refused: u64,
     /// The first few of them: stamp and reason.
     pub depth_refused_examples: Vec<String>,
+    /// Keyframes that were moved to a corrected pose, each time counted.
+    pub num_poses_corrected: u64,
+    /// Corrections of a stamp at which no keyframe was taken.
+    pub num_corrections_unmatched: u64,
     /// Bytes of encoded images held.
     pub num_bytes: usize,
     /// Most bytes ever held; a frame is counted before others make room for it.
@@ -105,6 +111,7 @@ struct Stored {
 #[derive(Debug)]
 pub struct KeyframeStore {
     budget_bytes: usize,
+    max_correction_interval_ns: u64,
     selector: Selector,
     stored: BTreeMap<KeyframeId, Stored>,
     next_id: u32,
@@ -117,6 +124,7 @@ impl KeyframeStore {
     pub fn new(params: &KeyframeParams) -> Self {
         Self {
             budget_bytes: bytes_from_mb(params.budget_mb),
+            max_correction_interval_ns: nanos_from_seconds(params.max_correction_interval_s),
             selector: Selector::new(params),
             stored: BTreeMap::new(),
             next_id: 0,
@@ -201,6 +209,51 @@ impl KeyframeStore {
     /// Whether there is none.
     pub fn is_empty(&self) -> bool {
         self.stored.is_empty()
+    }
+
+    /// Puts each keyframe that has a new pose for its stamp there; how many moved. A stamp may differ
+    /// from the keyframe's by [`KeyframeParams::max_correction_interval_s`]; of several poses for one
+    /// keyframe the last holds.
+    pub fn correct_poses(&mut self, poses: &[(Stamp, RigidTransform)]) -> usize {
+        let mut ids: Vec<(Stamp, KeyframeId)> = self
+            .stored
+            .values()
+            .map(|stored| (stored.keyframe.stamp, stored.keyframe.id))
+            .collect();
+        ids.sort_unstable();
+        let mut corrected = BTreeMap::new();
+        for (stamp, pose) in poses {
+            match nearest(&ids, *stamp, self.max_correction_interval_ns) {
+                Some(id) => drop(corrected.insert(id, *pose)),
+                None => self.report.num_corrections_unmatched += 1,
+            }
+        }
+        let mut num_moved = 0;
+        for (id, pose) in corrected {
+            num_moved += usize::from(self.move_to(id, pose));
+        }
+        self.report.num_poses_corrected += num_moved as u64;
+        num_moved
+    }
+
+    /// Whether the keyframe was elsewhere.
+    fn move_to(&mut self, id: KeyframeId, world_from_camera: RigidTransform) -> bool {
+        let Some(mut moved) = self.stored.remove(&id) else {
+            return false;
+        };
+        let is_moved = moved.keyframe.world_from_camera != world_from_camera;
+        if is_moved {
+            self.unlink(&moved.view);
+            moved.view = moved.view.moved_to(&world_from_camera);
+            self.link(&moved.view);
+            moved.num_shown_by = self.num_shown_by(&moved.view);
+            moved.keyframe = Arc::new(Keyframe {
+                world_from_camera,
+                ..(*moved.keyframe).clone()
+            });
+        }
+        self.stored.insert(id, moved);
+        is_moved
     }
 
     /// A keyframe's images, decoded and undistorted, from the cache where it has them.
@@ -380,8 +433,13 @@ impl KeyframeStore {
         };
         self.report.num_bytes -= removed.num_bytes;
         self.cache.remove(id);
+        self.unlink(&removed.view);
+    }
+
+    /// Counts a view no longer at the views that it showed.
+    fn unlink(&mut self, view: &View) {
         for other in self.stored.values_mut() {
-            let shown = other.view.shown_by(&removed.view);
+            let shown = other.view.shown_by(view);
             for (i, count) in other.num_shown_by.iter_mut().enumerate() {
                 *count -= shown >> i & 1;
             }
@@ -415,6 +473,15 @@ fn redundancy(num_shown_by: &[u32; NUM_SAMPLES]) -> u64 {
         .iter()
         .map(|&num| 1_000_000 * u64::from(num) / (1 + u64::from(num)))
         .sum()
+}
+
+/// The keyframe whose stamp is nearest, of two the earlier one; `ids` ascend.
+fn nearest(ids: &[(Stamp, KeyframeId)], stamp: Stamp, max_interval_ns: u64) -> Option<KeyframeId> {
+    let after = ids.partition_point(|(other, _)| *other < stamp);
+    let candidates = ids.get(after.saturating_sub(1)..ids.len().min(after + 1))?;
+    let interval_ns = |(other, _): &&(Stamp, KeyframeId)| other.abs_diff_nanos(stamp);
+    let found = candidates.iter().min_by_key(interval_ns)?;
+    (interval_ns(&found) <= max_interval_ns).then_some(found.1)
 }
 
 fn check_size(frame: &PosedFrame) -> Result<(), ImageError> {
@@ -452,6 +519,15 @@ fn same_size(camera: [u32; 2], image: [u32; 2]) -> Result<(), ImageError> {
 
 fn encoded_bytes(color: &EncodedColor, depth: Option<&FrameDepth>) -> usize {
     color.bytes().len() + depth.map_or(0, |half| half.image.bytes().len())
+}
+
+#[expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "float to int casts saturate, as meant for a limit"
+)]
+fn nanos_from_seconds(seconds: f64) -> u64 {
+    (seconds * 1e9).round() as u64
 }
 
 #[expect(

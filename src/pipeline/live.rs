@@ -179,6 +179,11 @@ impl LiveScan {
                     self.num_mesh_updates += 1;
                     self.revision += 1;
                 }
+                Assembled::Corrections(corrections) => {
+                    let poses: Vec<_> = corrections.iter().map(|c| (c.stamp, c.pose)).collect();
+                    let num_moved = self.store.correct_poses(&poses);
+                    self.revision += u64::from(num_moved > 0);
+                }
             }
         }
         self.scratch = assembled;
@@ -219,6 +224,12 @@ impl Painter {
             cache: Some(KeyframeStore::new(params)),
             stream: StreamPainter::new(params),
         }
+    }
+
+    /// Bytes of decoded images that are kept.
+    pub fn num_cached_bytes(&self) -> usize {
+        let cache = self.cache.as_ref();
+        cache.map_or(0, |store| store.cache_report().num_bytes)
     }
 
     /// Paints the whole, or where [`PipelineParams::follows_changes`] what changed since the last

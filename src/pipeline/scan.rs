@@ -11,7 +11,7 @@ use super::live::Capture;
 use super::memory::MemoryPlan;
 use super::run::{PipelineError, PipelineParams};
 use crate::geom::{ImageError, PosedFrame, Stamp};
-use crate::ingest::{Assembled, Assembler, EventSource, IngestReport};
+use crate::ingest::{Assembled, Assembler, EventSource, IngestReport, PoseCorrection};
 use crate::keyframe::quality;
 use crate::keyframe::{DecodedFrame, FrameQuality, Keyframe, KeyframeReport, KeyframeStore};
 use crate::mesh::weld::weld;
@@ -192,6 +192,11 @@ fn receive(
                             mesh = Some(update);
                             num_mesh_updates += 1;
                         }
+                        Gained::Corrections(corrections) => {
+                            let poses: Vec<_> =
+                                corrections.iter().map(|c| (c.stamp, c.pose)).collect();
+                            store.correct_poses(&poses);
+                        }
                     }
                 }
             },
@@ -217,6 +222,7 @@ const BATCH_SIZE: usize = 8;
 enum Gained {
     Frame(Box<PosedFrame>, Result<FrameQuality, ImageError>),
     Mesh(Arc<TriMesh>),
+    Corrections(Vec<PoseCorrection>),
 }
 
 /// Reads the stream batch by batch.
@@ -254,6 +260,7 @@ impl FrameReader<'_> {
                     Gained::Frame(Box::new(frame), quality)
                 }
                 Assembled::Mesh(update) => Gained::Mesh(update),
+                Assembled::Corrections(corrections) => Gained::Corrections(corrections),
             })
             .collect()
     }

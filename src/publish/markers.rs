@@ -5,108 +5,54 @@
 //! Adding a marker again under its name would stack another texture upon it, and textures of one name
 //! share their picture: a piece that changes is deleted, and added under a new name.
 
-use crate::export::{PageFormat, TexturedMesh};
+use crate::atlas::TexturePage;
+use crate::export::PageFormat;
 use crate::wire::geometry::WirePose;
 use crate::wire::marker::{self, Marker, MarkerTail};
 use crate::wire::{CompressedImage, MarkerArray, Message};
 
-use super::pieces::{self, Piece, Place, Step, TooLarge};
-use super::sent::Sent;
-use super::{PublishError, PublishParams, Snapshot};
+use super::pieces::{Piece, Step};
+use super::viewer::Format;
+use super::{PublishError, Snapshot};
 
 /// Namespace of all markers.
 const NAMESPACE: &str = "veneer";
 
-/// What readers hold.
-#[derive(Debug, Default)]
-pub(super) struct Markers {
-    scene: Option<(u64, String)>,
-    sent: Sent<Place>,
-    too_large: TooLarge,
-    num_since_whole: usize,
+/// Pieces of a snapshot as markers.
+pub(super) struct MarkerFormat<'a> {
+    pub(super) snapshot: &'a Snapshot<'a>,
+    pub(super) textures: PageFormat,
 }
 
 /// What a marker is made of.
-struct Textured {
+pub(super) struct Textured {
     piece: Piece,
     file: Vec<u8>,
 }
 
-impl Markers {
-    pub(super) fn forget(&mut self) {
-        self.scene = None;
-        self.num_since_whole = 0;
+impl Format for MarkerFormat<'_> {
+    type Built = Textured;
+    const WHAT: &'static str = "a marker";
+
+    fn build(&self, piece: &Piece, page: &TexturePage) -> Result<Textured, PublishError> {
+        Ok(Textured {
+            piece: piece.clone(),
+            file: piece.encode_texture(page, self.textures)?,
+        })
     }
 
-    pub(super) fn num_since_whole(&self) -> usize {
-        self.num_since_whole
+    fn message(&self, steps: &[Step<Textured>]) -> Vec<u8> {
+        array(self.snapshot, steps, self.textures)
     }
 
-    pub(super) fn publish(
-        &mut self,
-        snapshot: &Snapshot<'_>,
-        textured: &TexturedMesh<'_>,
-        params: &PublishParams,
-    ) -> Result<Vec<Vec<u8>>, PublishError> {
-        let now = Some((snapshot.session, snapshot.frame_id.to_owned()));
-        if self.scene == now {
-            let messages = self.publish_change(snapshot, textured, params)?;
-            let num_kept = self.num_since_whole + messages.len();
-            if num_kept <= params.history_messages {
-                self.num_since_whole = num_kept;
-                return Ok(messages);
-            }
-        }
-        self.sent.clear();
-        let mut messages = vec![params.checked("a marker", delete_all(snapshot))?];
-        messages.extend(self.publish_change(snapshot, textured, params)?);
-        self.scene = now;
-        self.num_since_whole = messages.len();
-        Ok(messages)
+    fn deletion_of_all(&self) -> Vec<u8> {
+        let markers = vec![blank(self.snapshot, 0, marker::DELETE_ALL)];
+        MarkerArray { markers }.encode()
     }
 
-    fn publish_change(
-        &mut self,
-        snapshot: &Snapshot<'_>,
-        textured: &TexturedMesh<'_>,
-        params: &PublishParams,
-    ) -> Result<Vec<Vec<u8>>, PublishError> {
-        let sent = &self.sent;
-        let cut = pieces::cut(
-            textured,
-            params,
-            &mut self.too_large,
-            &|digest| sent.contains(digest),
-            &|piece, page| {
-                let file = piece.encode_texture(page, params.viewer_format)?;
-                let built = Textured {
-                    piece: piece.clone(),
-                    file,
-                };
-                let step = Step {
-                    removed: Vec::new(),
-                    added: Some((0, built)),
-                };
-                let message = array(snapshot, std::slice::from_ref(&step), params.viewer_format);
-                let fits = message.len() <= params.max_message_bytes;
-                Ok(step.added.filter(|_| fits).map(|(_, built)| built))
-            },
-        )?;
-        let change = self.sent.change(pieces::placed(cut))?;
-        let format = params.viewer_format;
+    fn max_removed(&self, max_bytes: usize) -> usize {
         // One deletion and its padding to the next.
-        let max_removed = params.max_message_bytes / (delete_all(snapshot).len() + 8);
-        let groups = pieces::grouped(
-            pieces::in_steps(change),
-            params.max_message_bytes,
-            max_removed,
-            &|step| array(snapshot, std::slice::from_ref(step), format).len(),
-        );
-        let messages = groups.iter().map(|steps| {
-            let message = array(snapshot, steps, format);
-            params.checked("a marker", message)
-        });
-        messages.collect()
+        max_bytes / (self.deletion_of_all().len() + 8)
     }
 }
 
@@ -126,11 +72,6 @@ fn blank<'a>(snapshot: &Snapshot<'a>, id: i32, action: i32) -> Marker<'a> {
         colors: Vec::new(),
         tail: MarkerTail::default(),
     }
-}
-
-fn delete_all(snapshot: &Snapshot<'_>) -> Vec<u8> {
-    let markers = vec![blank(snapshot, 0, marker::DELETE_ALL)];
-    MarkerArray { markers }.encode()
 }
 
 fn deletion<'a>(snapshot: &Snapshot<'a>, name: u32) -> Marker<'a> {
@@ -158,7 +99,6 @@ fn texture_name(snapshot: &Snapshot<'_>, name: u32) -> String {
     format!("embedded://veneer_{:016x}_{name:010}", snapshot.session)
 }
 
-/// What some steps delete and add, as a message.
 fn array(snapshot: &Snapshot<'_>, steps: &[Step<Textured>], format: PageFormat) -> Vec<u8> {
     let resources: Vec<String> = steps
         .iter()

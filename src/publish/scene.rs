@@ -12,91 +12,39 @@ use crate::wire::geometry::WirePose;
 use crate::wire::scene_update::{self, ModelPrimitive, SceneEntity, SceneEntityDeletion};
 use crate::wire::{Message, SceneUpdate};
 
-use super::pieces::{self, Piece, Place, Step, TooLarge};
-use super::sent::Sent;
-use super::{PublishError, PublishParams, Snapshot, crop};
+use super::pieces::{Piece, Step};
+use super::viewer::Format;
+use super::{PublishError, Snapshot, crop};
 
-/// What readers hold.
-#[derive(Debug, Default)]
-pub(super) struct Scene {
-    scene: Option<(u64, String)>,
-    sent: Sent<Place>,
-    too_large: TooLarge,
-    num_since_whole: usize,
+/// Pieces of a snapshot as entities.
+pub(super) struct SceneFormat<'a> {
+    pub(super) snapshot: &'a Snapshot<'a>,
+    pub(super) textures: PageFormat,
 }
 
-impl Scene {
-    pub(super) fn forget(&mut self) {
-        self.scene = None;
-        self.num_since_whole = 0;
+impl Format for SceneFormat<'_> {
+    /// A GLB file.
+    type Built = Vec<u8>;
+    const WHAT: &'static str = "a scene";
+
+    fn build(&self, piece: &Piece, page: &TexturePage) -> Result<Vec<u8>, PublishError> {
+        piece_glb(piece, page, self.textures)
     }
 
-    pub(super) fn num_since_whole(&self) -> usize {
-        self.num_since_whole
+    fn message(&self, steps: &[Step<Vec<u8>>]) -> Vec<u8> {
+        update(self.snapshot, steps)
     }
 
-    pub(super) fn publish(
-        &mut self,
-        snapshot: &Snapshot<'_>,
-        textured: &TexturedMesh<'_>,
-        params: &PublishParams,
-    ) -> Result<Vec<Vec<u8>>, PublishError> {
-        let now = Some((snapshot.session, snapshot.frame_id.to_owned()));
-        if self.scene == now {
-            let messages = self.publish_change(snapshot, textured, params)?;
-            let num_kept = self.num_since_whole + messages.len();
-            if num_kept <= params.history_messages {
-                self.num_since_whole = num_kept;
-                return Ok(messages);
-            }
-        }
-        self.sent.clear();
-        let all = SceneUpdate {
+    fn deletion_of_all(&self) -> Vec<u8> {
+        SceneUpdate {
             deletions: vec![deletion(scene_update::ALL, String::new())],
             entities: Vec::new(),
-        };
-        let mut messages = vec![params.checked("a scene", all.encode())?];
-        messages.extend(self.publish_change(snapshot, textured, params)?);
-        self.scene = now;
-        self.num_since_whole = messages.len();
-        Ok(messages)
+        }
+        .encode()
     }
 
-    fn publish_change(
-        &mut self,
-        snapshot: &Snapshot<'_>,
-        textured: &TexturedMesh<'_>,
-        params: &PublishParams,
-    ) -> Result<Vec<Vec<u8>>, PublishError> {
-        let sent = &self.sent;
-        let cut = pieces::cut(
-            textured,
-            params,
-            &mut self.too_large,
-            &|digest| sent.contains(digest),
-            &|piece, page| {
-                let file = piece_glb(piece, page, params.viewer_format)?;
-                let step = Step {
-                    removed: Vec::new(),
-                    added: Some((0, file)),
-                };
-                let message = update(snapshot, std::slice::from_ref(&step));
-                let fits = message.len() <= params.max_message_bytes;
-                Ok(step.added.filter(|_| fits).map(|(_, file)| file))
-            },
-        )?;
-        let change = self.sent.change(pieces::placed(cut))?;
-        let max_removed = (params.max_message_bytes / DELETION_BYTES).max(2) - 1;
-        let groups = pieces::grouped(
-            pieces::in_steps(change),
-            params.max_message_bytes,
-            max_removed,
-            &|step| update(snapshot, std::slice::from_ref(step)).len(),
-        );
-        let messages = groups
-            .iter()
-            .map(|steps| params.checked("a scene", update(snapshot, steps)));
-        messages.collect()
+    fn max_removed(&self, max_bytes: usize) -> usize {
+        (max_bytes / DELETION_BYTES).max(2) - 1
     }
 }
 
@@ -120,7 +68,7 @@ fn deletion(kind: u8, id: String) -> SceneEntityDeletion<'static> {
 /// Bytes of a deletion, padding included.
 const DELETION_BYTES: usize = 48;
 
-/// What some steps delete and add, as a message. Deletions come first in it, whatever the order: names
+/// What some steps delete and add. Deletions come first in it, whatever the order: names
 /// are never used twice.
 fn update(snapshot: &Snapshot<'_>, steps: &[Step<Vec<u8>>]) -> Vec<u8> {
     let removed = steps.iter().flat_map(|step| &step.removed);

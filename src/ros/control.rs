@@ -120,7 +120,7 @@ impl Control {
 
     fn try_save(&self, path: &str) -> Result<String, FileError> {
         let config = self.shared.config();
-        let place = files::confined(config.node.save_folder.as_deref(), path)?;
+        let place = files::confined(&config.node, path)?;
         let stopping = FileError::Nothing("the node is stopping");
         if files::needs_painting(&place)? {
             let painted = self.shared.last_painted();
@@ -134,8 +134,7 @@ impl Control {
 
     pub(super) fn load(&self, path: &str) -> Answer {
         let config = self.shared.config();
-        let folder = config.node.save_folder.as_deref();
-        let loaded = files::confined(folder, path)
+        let loaded = files::confined(&config.node, path)
             .and_then(|place: PathBuf| Ok((files::load_session(&place)?, place)));
         let (session, place) = loaded.map_err(|error| error.to_string())?;
         let num_items = session.num_items();
@@ -156,8 +155,13 @@ impl Control {
         let before = config.clone();
         let mut results = Vec::new();
         let mut changed = Vec::new();
-        for parameter in wanted.iter().take(parameters::MAX_NAMES) {
-            let result = parameters::set(&mut config, parameter);
+        let max_names = before.node.limits.request_names;
+        for (at, parameter) in wanted.iter().enumerate() {
+            let result = if at < max_names {
+                parameters::set(&mut config, parameter)
+            } else {
+                Err(format!("a request may set {max_names} parameters"))
+            };
             if result.is_ok() {
                 changed.push(parameter.clone());
             }

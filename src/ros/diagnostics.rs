@@ -90,6 +90,8 @@ pub(super) struct Observation<'a> {
     pub(super) paint: &'a PaintStatus,
     pub(super) num_captures_replaced: u64,
     pub(super) outputs: &'a [OutputCounts],
+    /// Messages that each output keeps.
+    pub(super) publish_depth: usize,
     pub(super) pose_source: PoseSource,
     pub(super) transports: [Transport; 2],
     pub(super) memory_bytes: u64,
@@ -153,7 +155,10 @@ fn is_needed(role: TopicRole, pose_source: PoseSource) -> bool {
         TopicRole::Pose => pose_source == PoseSource::Pose,
         TopicRole::Odometry => pose_source == PoseSource::Odom,
         TopicRole::Transforms => pose_source == PoseSource::Tf,
-        TopicRole::Depth | TopicRole::DepthInfo | TopicRole::StaticTransforms => false,
+        TopicRole::Depth
+        | TopicRole::DepthInfo
+        | TopicRole::StaticTransforms
+        | TopicRole::Corrections => false,
     }
 }
 
@@ -210,6 +215,14 @@ fn inputs(seen: &Observation<'_>) -> Finding {
         values.push(value(format!("{topic} lost"), counts.num_lost));
         let num_dropped = counts.num_dropped_full + counts.num_dropped_closed;
         values.push(value(format!("{topic} dropped"), num_dropped));
+        if counts.num_too_long > 0 {
+            values.push(value(format!("{topic} too long"), counts.num_too_long));
+            let words = format!(
+                "{topic}: {} messages were refused as too long; raise limits.message_bytes, or publish in smaller parts",
+                counts.num_too_long
+            );
+            problems.push((Level::Warn, words));
+        }
         if input.num_new_drops > 0 {
             problems.push((Level::Warn, drop_words(input, seen.socket_remedy)));
         }
@@ -270,7 +283,10 @@ fn input_problem(
     }
     let newest = members.iter().filter_map(|m| m.age).min()?;
     // A mesh or a static transform may rightly come once.
-    let is_steady = !matches!(role, TopicRole::Mesh | TopicRole::StaticTransforms);
+    let is_steady = !matches!(
+        role,
+        TopicRole::Mesh | TopicRole::StaticTransforms | TopicRole::Corrections
+    );
     (is_steady && newest > SILENT).then(|| {
         let words = format!(
             "{what}: {topics} is silent for {:.0} s",
@@ -396,6 +412,11 @@ fn keyframes(capture: &Capture) -> Finding {
         value("offered", store.num_offered),
         value("replaced", store.num_replaced),
         value("evicted", store.num_evicted),
+        value("poses corrected", store.num_poses_corrected),
+        value(
+            "corrections without a keyframe",
+            store.num_corrections_unmatched,
+        ),
         value("pending", capture.num_pending),
         value("revision", capture.revision),
     ];
@@ -457,6 +478,13 @@ fn outputs(seen: &Observation<'_>) -> Finding {
             );
             problems.push((Level::Warn, words));
         }
+        if output.num_whole > seen.publish_depth && output.num_readers > 0 {
+            let words = format!(
+                "{}: a whole scan is {} messages, publish.depth keeps {}, so that who comes late and asks for what was before gets it only with the next state; raise publish.depth",
+                output.topic, output.num_whole, seen.publish_depth
+            );
+            problems.push((Level::Warn, words));
+        }
         if output.num_failed > 0 {
             let words = format!("{}: {} messages failed", output.topic, output.num_failed);
             problems.push((Level::Error, words));
@@ -477,6 +505,7 @@ fn process(seen: &Observation<'_>) -> Finding {
         value("paused", seen.is_paused),
         value("memory_bytes", seen.memory_bytes),
         value("queue_bytes", seen.queue_bytes),
+        value("decoded_image_bytes", seen.paint.num_cached_bytes),
         value("image transport", format!("{:?}", seen.transports[0])),
         value("depth transport", format!("{:?}", seen.transports[1])),
     ];
@@ -566,6 +595,7 @@ mod tests {
             paint,
             num_captures_replaced: 0,
             outputs: &[],
+            publish_depth: 256,
             pose_source: PoseSource::Auto,
             transports: [Transport::Auto; 2],
             memory_bytes: 0,

@@ -13,6 +13,7 @@ use std::time::{Duration, Instant};
 use crate::config::Config;
 use crate::ingest::{EventSource, TimedEvent};
 use crate::pipeline::{Capture, Latest, LiveScan, NoProgress, Painted, Painter};
+use crate::publish::Snapshot;
 
 use super::error::NodeError;
 use super::files::Session;
@@ -68,6 +69,8 @@ pub(super) struct PaintStatus {
     pub(super) num_pages: usize,
     /// The revision painted last.
     pub(super) revision: u64,
+    /// Bytes of decoded images that are kept between paintings.
+    pub(super) num_cached_bytes: usize,
 }
 
 /// A painting as it is published.
@@ -78,6 +81,24 @@ pub(super) struct Painting {
     /// Counts the paintings of the session, from 1.
     pub(super) revision: u64,
     pub(super) painted: Painted,
+}
+
+impl Painting {
+    /// What is published of it.
+    pub(super) fn snapshot(&self) -> Snapshot<'_> {
+        let painted = &self.painted;
+        let frame = painted.capture.ingest.world_frame.as_deref();
+        Snapshot {
+            stamp: painted.capture.stamp,
+            frame_id: frame.unwrap_or_default(),
+            session: self.session,
+            revision: self.revision,
+            mesh: &painted.mesh,
+            layout: &painted.layout,
+            texture: &painted.texture,
+            keyframes: &painted.keyframes,
+        }
+    }
 }
 
 /// What all threads share.
@@ -395,7 +416,7 @@ fn paint(shared: &Shared) {
         lock(&shared.paint_status).is_painting = true;
         let mut params = config.pipeline;
         if shared.refine.swap(false, Ordering::Relaxed) {
-            params.texsmooth.num_steps = params.texsmooth.num_steps.max(REFINE_STEPS);
+            params.texsmooth.num_steps = params.texsmooth.num_steps.max(config.node.refine_steps);
             // The optimisation works on the whole texture.
             params.follows_changes = false;
         }
@@ -403,6 +424,7 @@ fn paint(shared: &Shared) {
         painted_revision = Some(revision);
         let mut status = lock(&shared.paint_status);
         status.is_painting = false;
+        status.num_cached_bytes = painter.num_cached_bytes();
         match result {
             Ok(painted) => {
                 note(&mut status, &painted);
@@ -427,9 +449,6 @@ fn paint(shared: &Shared) {
         }
     }
 }
-
-/// Steps of the optimisation that `~/refine` asks for where the configuration has none.
-const REFINE_STEPS: usize = 200;
 
 fn note(status: &mut PaintStatus, painted: &Painted) {
     status.num_painted += 1;

@@ -9,6 +9,7 @@ use std::path::{Component, Path, PathBuf};
 
 use crate::bag::journal::{self, Found, Journal, JournalError, PathDisk};
 use crate::bag::{BagError, BagReader, TopicRoles};
+use crate::config::NodeParams;
 use crate::export::{
     EncodedPages, ExportError, ExportParams, TexturedMesh, glb, write_all, write_atomic,
 };
@@ -16,9 +17,6 @@ use crate::ingest::{Assembled, Assembler, EventSource, IngestParams};
 use crate::pipeline::{Capture, EarlierScan, Painted};
 
 use super::journal::{earlier_scan, scan_state};
-
-/// Longest path that a peer may give, bytes.
-const MAX_PATH_BYTES: usize = 1000;
 
 /// Why nothing was saved or loaded.
 #[derive(Debug, thiserror::Error)]
@@ -68,21 +66,23 @@ enum Kind {
     Ply,
 }
 
-/// A file below `folder`. Its own folder is made where it is not there.
+/// A file below `save.folder`. Its own folder is made where it is not there.
 ///
 /// # Errors
-/// [`FileError::Path`] for a path that is not relative, goes up or passes a link.
-pub fn confined(folder: Option<&str>, path: &str) -> Result<PathBuf, FileError> {
+/// [`FileError::Path`] for a path that is not relative, goes up, passes a link, or is longer than
+/// `limits.path_bytes`.
+pub fn confined(node: &NodeParams, path: &str) -> Result<PathBuf, FileError> {
+    let (folder, max_bytes) = (node.save_folder.as_deref(), node.limits.path_bytes);
     let refuse = |reason| {
         Err(FileError::Path {
-            path: path.chars().take(MAX_PATH_BYTES).collect(),
+            path: path.chars().take(max_bytes).collect(),
             reason,
         })
     };
     let Some(folder) = folder else {
         return Err(FileError::NoFolder);
     };
-    if path.is_empty() || path.len() > MAX_PATH_BYTES || path.contains('\0') {
+    if path.is_empty() || path.len() > max_bytes || path.contains('\0') {
         return refuse("is empty, or too long");
     }
     let parts: Vec<_> = Path::new(path).components().collect();
@@ -276,12 +276,19 @@ fn load_recording(path: &Path) -> Result<Session, FileError> {
 mod tests {
     use super::*;
 
+    fn node(folder: &Path) -> NodeParams {
+        NodeParams {
+            save_folder: folder.to_str().map(str::to_owned),
+            ..NodeParams::default()
+        }
+    }
+
     #[test]
     fn paths_stay_in_their_folder() {
         let dir = tempfile::tempdir().unwrap();
         let folder = dir.path().join("saves");
-        let folder_text = folder.to_str().unwrap();
-        let inside = confined(Some(folder_text), "a/b/scan.mcap").unwrap();
+        let mut node = node(&folder);
+        let inside = confined(&node, "a/b/scan.mcap").unwrap();
         assert_eq!(inside, folder.join("a/b/scan.mcap"));
         assert!(folder.join("a/b").is_dir());
         for outside in [
@@ -293,10 +300,16 @@ mod tests {
             "./../x",
             "a\0b",
         ] {
-            let refused = confined(Some(folder_text), outside);
+            let refused = confined(&node, outside);
             assert!(refused.is_err(), "{outside:?}: {refused:?}");
         }
-        assert!(matches!(confined(None, "x.mcap"), Err(FileError::NoFolder)));
+        node.limits.path_bytes = 5;
+        assert!(confined(&node, "xyzw.mcap").is_err());
+        node.save_folder = None;
+        assert!(matches!(
+            confined(&node, "x.mcap"),
+            Err(FileError::NoFolder)
+        ));
     }
 
     #[cfg(unix)]
@@ -310,7 +323,7 @@ mod tests {
         let link = folder.join("scan.mcap");
         std::os::unix::fs::symlink(dir.path().join("secret.mcap"), link).unwrap();
         for path in ["up/secret.mcap", "scan.mcap"] {
-            let refused = confined(folder.to_str(), path);
+            let refused = confined(&node(&folder), path);
             assert!(refused.is_err(), "{path}: {refused:?}");
         }
     }

@@ -11,29 +11,32 @@ use rustdds::policy::{Durability, Reliability};
 use rustdds::{CDRSerializerAdapter, GUID, Timestamp, TopicKind};
 
 use super::error::NodeError;
-use super::inputs::Offer;
+use super::inputs::{Input, Offer};
 use super::transport::{dds_topic_name, ros_topic_name, ros_type_name};
 
-/// Everyone who publishes ROS messages.
-pub(super) fn offers(context: &Context) -> Vec<Offer> {
+/// Who publishes on the topics of `inputs`, `max` of them at most.
+pub(super) fn offers(context: &Context, inputs: &[Input], max: usize) -> Vec<Offer> {
     let participant = context.domain_participant();
     let writers = participant.discovered_writers();
     let offer = |data: &rustdds::discovery::DiscoveredWriterData| {
         let topic = &data.publication_topic_data;
+        let name = ros_topic_name(&topic.topic_name)?;
+        inputs.iter().find(|input| input.topic == name)?;
         Some(Offer {
-            topic: ros_topic_name(&topic.topic_name)?.to_owned(),
+            topic: name.to_owned(),
             type_name: ros_type_name(&topic.type_name)?,
             is_reliable: matches!(topic.reliability, Some(Reliability::Reliable { .. })),
             is_latched: topic.durability.is_some_and(|d| d != Durability::Volatile),
         })
     };
-    let mut offers: Vec<_> = writers.iter().filter_map(offer).collect();
+    let mut offers: Vec<_> = writers.iter().filter_map(offer).take(max).collect();
     offers.sort_by(|a, b| (&a.topic, &a.type_name).cmp(&(&b.topic, &b.type_name)));
     offers
 }
 
-/// Everyone who listens to a topic, and whether it asks for what was published before it came.
-pub(super) fn readers(context: &Context, topic: &str) -> BTreeMap<GUID, bool> {
+/// Who listens to a topic, `max` of them at most, and whether each asks for what was published before
+/// it came.
+pub(super) fn readers(context: &Context, topic: &str, max: usize) -> BTreeMap<GUID, bool> {
     let name = dds_topic_name(topic);
     let participant = context.domain_participant();
     let readers = participant.discovered_readers();
@@ -46,16 +49,35 @@ pub(super) fn readers(context: &Context, topic: &str) -> BTreeMap<GUID, bool> {
             let is_latched = durability.is_some_and(|d| d != Durability::Volatile);
             (reader.key(), is_latched)
         })
+        .take(max)
         .collect()
 }
 
-/// Whether a participant, by the first bytes of its entities' ids, reads a topic by DDS' name.
-pub(super) fn is_read_by(context: &Context, dds_topic: &str, participant: &[u8]) -> bool {
+/// Who waits for a service's answers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Client {
+    /// What it reads them with.
+    pub(super) reader: GUID,
+    /// Whether it is reached over this host's loopback alone.
+    pub(super) is_local: bool,
+}
+
+/// The readers of a topic, by DDS' name, in the participant that `member` belongs to.
+pub(super) fn clients(context: &Context, dds_topic: &str, member: GUID) -> Vec<Client> {
     let readers = context.domain_participant().discovered_readers();
-    readers.iter().any(|data| {
+    let of_member = readers.iter().filter(|data| {
         let topic = &data.subscription_topic_data;
-        topic.topic_name() == dds_topic && topic.key().to_bytes().starts_with(participant)
-    })
+        topic.topic_name() == dds_topic && topic.key().prefix == member.prefix
+    });
+    of_member
+        .map(|data| {
+            let locators = &data.reader_proxy.unicast_locator_list;
+            Client {
+                reader: data.reader_proxy.remote_reader_guid,
+                is_local: !locators.is_empty() && locators.iter().all(|l| l.is_loopback()),
+            }
+        })
+        .collect()
 }
 
 /// Tells ROS' tools which of the participant's readers and writers are the node's.

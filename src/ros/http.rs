@@ -7,8 +7,9 @@
 //! | `/scan.glb` | what was painted last |
 //! | `/SESSION/REVISION/scan.glb` | the same while it is that revision, for caches that go by URL; 404 after |
 //!
-//! GET and HEAD only. A peer can make it hold [`MAX_CONNECTIONS`] threads for [`TIMEOUT`] each, and
-//! read [`MAX_HEAD_BYTES`] of each request; a GLB is made once per revision, when it is asked for.
+//! GET and HEAD only. Peers can make it hold `limits.http_clients` threads while each is silent for
+//! `limits.http_silence_s`, and read `limits.http_request_bytes` of each request; a GLB is made once
+//! per revision, when it is asked for.
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
@@ -16,18 +17,12 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-use crate::config::Config;
+use crate::config::{Config, NodeLimits};
 use crate::export::{EncodedPages, ExportError, TexturedMesh, glb};
 
 use super::engine::{Painting, Shared};
 use super::error::NodeError;
 
-/// Requests that are answered at once; more are turned away.
-const MAX_CONNECTIONS: usize = 8;
-/// Longest head of a request, bytes.
-const MAX_HEAD_BYTES: u64 = 8192;
-/// How long a peer may be silent.
-const TIMEOUT: Duration = Duration::from_secs(10);
 /// How often the listener looks whether the node stops.
 const POLL: Duration = Duration::from_millis(100);
 
@@ -51,6 +46,7 @@ struct Server {
     shared: Arc<Shared>,
     made: Mutex<Option<Made>>,
     num_connections: AtomicUsize,
+    limits: NodeLimits,
 }
 
 /// Starts to serve where the configuration says so; the address it listens on.
@@ -71,6 +67,7 @@ pub(super) fn start(shared: &Arc<Shared>) -> Result<Option<SocketAddr>, NodeErro
         shared: Arc::clone(shared),
         made: Mutex::default(),
         num_connections: AtomicUsize::new(0),
+        limits: config.node.limits,
     });
     std::thread::Builder::new()
         .name("veneer-http".to_owned())
@@ -89,7 +86,7 @@ fn listen(listener: &TcpListener, server: &Arc<Server>) {
         let answer = {
             let server = Arc::clone(server);
             move || {
-                if num_before < MAX_CONNECTIONS {
+                if num_before < server.limits.http_clients {
                     // A peer that hangs up is its own affair.
                     serve(&server, stream).ok();
                 }
@@ -105,9 +102,10 @@ fn listen(listener: &TcpListener, server: &Arc<Server>) {
 
 fn serve(server: &Server, stream: TcpStream) -> std::io::Result<()> {
     stream.set_nonblocking(false)?;
-    stream.set_read_timeout(Some(TIMEOUT))?;
-    stream.set_write_timeout(Some(TIMEOUT))?;
-    let mut reader = BufReader::new((&stream).take(MAX_HEAD_BYTES));
+    let silence = Duration::from_secs(server.limits.http_silence_s.into());
+    stream.set_read_timeout(Some(silence))?;
+    stream.set_write_timeout(Some(silence))?;
+    let mut reader = BufReader::new((&stream).take(server.limits.http_request_bytes as u64));
     let mut first = String::new();
     reader.read_line(&mut first)?;
     // The rest of the head is read so that closing does not reset the connection.

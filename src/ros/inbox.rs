@@ -4,7 +4,7 @@
 //! oldest message, so that what comes out is the newest; where all together hold too much, the one
 //! that holds most drops its oldest (`drop oldest`). Messages come out in the
 //! order of their arrival over all topics. Every message is counted: for each topic
-//! `num_received = num_taken + num_dropped_full + num_dropped_closed + num_waiting`, and what the
+//! `num_received = num_taken + num_dropped_full + num_dropped_closed + num_too_long + num_waiting`, and what the
 //! sequence numbers of its writers show to be missing is `num_lost`.
 
 use std::collections::{BTreeMap, VecDeque};
@@ -25,6 +25,8 @@ pub struct TopicCounts {
     pub num_dropped_full: u64,
     /// Messages dropped because the node was paused or not active.
     pub num_dropped_closed: u64,
+    /// Messages refused because they are too long.
+    pub num_too_long: u64,
     /// Messages that DDS itself could not give out.
     pub num_unreadable: u64,
     /// Messages that writers numbered and that never came: lost on the way or before they were
@@ -78,36 +80,44 @@ struct State {
     queues: Vec<Queue>,
     next_number: u64,
     num_bytes: usize,
-    max_bytes: usize,
     is_open: bool,
     is_woken: bool,
     is_shut: bool,
 }
 
+/// What peers may at most make an [`Inbox`] hold.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct InboxLimits {
+    /// Bytes of all messages that wait.
+    pub max_bytes: usize,
+    /// Bytes of one message.
+    pub max_message_bytes: usize,
+    /// Writers whose numbers are remembered for a topic.
+    pub max_writers: usize,
+}
+
 /// The queues of all topics.
 #[derive(Debug)]
 pub struct Inbox {
+    limits: InboxLimits,
     state: Mutex<State>,
     changed: Condvar,
 }
 
-/// Writers whose numbers are remembered for a topic; a peer cannot make it more.
-const MAX_WRITERS: usize = 64;
-
 impl Inbox {
-    /// Queues of these capacities (messages, ≥ 1), holding `max_bytes` at most together. Nothing
-    /// is let in before [`Self::set_open`].
-    pub fn new(capacities: &[usize], max_bytes: usize) -> Self {
+    /// Queues of these capacities (messages, ≥ 1) within `limits`. Nothing is let in before
+    /// [`Self::set_open`].
+    pub fn new(capacities: &[usize], limits: InboxLimits) -> Self {
         let queue = |&capacity: &usize| Queue {
             capacity: capacity.max(1),
             ..Queue::default()
         };
         Self {
+            limits,
             state: Mutex::new(State {
                 queues: capacities.iter().map(queue).collect(),
                 next_number: 0,
                 num_bytes: 0,
-                max_bytes,
                 is_open: false,
                 is_woken: false,
                 is_shut: false,
@@ -156,7 +166,7 @@ impl Inbox {
             return;
         };
         let is_known = queue.newest.contains_key(&writer);
-        if !is_known && queue.newest.len() >= MAX_WRITERS {
+        if !is_known && queue.newest.len() >= self.limits.max_writers {
             return;
         }
         let newest = queue.newest.entry(writer).or_insert(sequence_number);
@@ -176,7 +186,7 @@ impl Inbox {
     pub fn put(&self, message: Waiting) {
         let mut guard = self.lock();
         let state = &mut *guard;
-        let (is_open, max_bytes) = (state.is_open && !state.is_shut, state.max_bytes);
+        let is_open = state.is_open && !state.is_shut;
         let Some(queue) = state.queues.get_mut(message.topic) else {
             return;
         };
@@ -185,6 +195,10 @@ impl Inbox {
         queue.last_received = Some(Instant::now());
         if !is_open {
             queue.counts.num_dropped_closed += 1;
+            return;
+        }
+        if message.bytes.len() > self.limits.max_message_bytes {
+            queue.counts.num_too_long += 1;
             return;
         }
         let topic = message.topic;
@@ -196,7 +210,7 @@ impl Inbox {
         if is_full {
             state.drop_oldest(topic);
         }
-        while state.num_bytes > max_bytes {
+        while state.num_bytes > self.limits.max_bytes {
             let largest = state.queues.iter().enumerate();
             let largest = largest.max_by_key(|(_, queue)| queue.num_bytes);
             let Some((largest, _)) = largest else {
@@ -286,6 +300,15 @@ impl State {
 mod tests {
     use super::*;
 
+    fn inbox(capacities: &[usize], max_bytes: usize) -> Inbox {
+        let limits = InboxLimits {
+            max_bytes,
+            max_message_bytes: 1000,
+            max_writers: 2,
+        };
+        Inbox::new(capacities, limits)
+    }
+
     fn message(topic: usize, nanos: i64, num_bytes: usize) -> Waiting {
         Waiting {
             topic,
@@ -308,12 +331,13 @@ mod tests {
             == counts.num_taken
                 + counts.num_dropped_full
                 + counts.num_dropped_closed
+                + counts.num_too_long
                 + counts.num_waiting as u64
     }
 
     #[test]
     fn messages_come_out_in_the_order_of_arrival_over_all_topics() {
-        let inbox = Inbox::new(&[4, 4], 1000);
+        let inbox = inbox(&[4, 4], 1000);
         inbox.set_open(true);
         for (topic, nanos) in [(1, 0), (0, 1), (1, 2), (0, 3)] {
             inbox.put(message(topic, nanos, 1));
@@ -324,7 +348,7 @@ mod tests {
 
     #[test]
     fn a_full_queue_drops_its_oldest_and_counts_it() {
-        let inbox = Inbox::new(&[2, 2], 1000);
+        let inbox = inbox(&[2, 2], 1000);
         inbox.set_open(true);
         for nanos in 0..5 {
             inbox.put(message(0, nanos, 10));
@@ -339,7 +363,7 @@ mod tests {
 
     #[test]
     fn bytes_are_bounded_over_all_topics() {
-        let inbox = Inbox::new(&[100, 100], 100);
+        let inbox = inbox(&[100, 100], 100);
         inbox.set_open(true);
         for nanos in 0..20 {
             inbox.put(message((nanos % 2) as usize, nanos, 30));
@@ -358,7 +382,7 @@ mod tests {
 
     #[test]
     fn a_closed_inbox_counts_what_it_drops() {
-        let inbox = Inbox::new(&[2], 1000);
+        let inbox = inbox(&[2], 1000);
         inbox.put(message(0, 0, 1));
         inbox.set_open(true);
         inbox.put(message(0, 1, 1));
@@ -370,8 +394,29 @@ mod tests {
     }
 
     #[test]
+    fn what_is_too_long_is_refused_and_counted() {
+        let inbox = inbox(&[2], 5000);
+        inbox.set_open(true);
+        inbox.put(message(0, 0, 1000));
+        inbox.put(message(0, 1, 1001));
+        assert_eq!(taken(&inbox), [0]);
+        let counts = inbox.counts();
+        assert_eq!(counts[0].num_too_long, 1);
+        assert!(adds_up(&counts[0]));
+    }
+
+    #[test]
+    fn only_so_many_writers_are_watched() {
+        let inbox = inbox(&[2], 1000);
+        for (writer, number) in [(1, 1), (2, 1), (3, 1), (3, 9), (2, 3)] {
+            inbox.note_sequence(0, [writer; 16], number);
+        }
+        assert_eq!(inbox.counts()[0].num_lost, 1);
+    }
+
+    #[test]
     fn gaps_in_a_writers_numbers_are_losses() {
-        let inbox = Inbox::new(&[2], 1000);
+        let inbox = inbox(&[2], 1000);
         let (a, b) = ([1; 16], [2; 16]);
         for (writer, number) in [(a, 7), (a, 8), (b, 1), (a, 12), (a, 11), (b, 2)] {
             inbox.note_sequence(0, writer, number);
@@ -381,7 +426,7 @@ mod tests {
 
     #[test]
     fn readers_are_woken_and_told_of_the_end() {
-        let inbox = Inbox::new(&[2], 1000);
+        let inbox = inbox(&[2], 1000);
         inbox.set_open(true);
         assert_eq!(inbox.take(Duration::ZERO), Taken::Idle);
         inbox.wake();

@@ -20,7 +20,7 @@ use super::inputs::{Input, Offer};
 use super::names::NameResolver;
 use super::output::OutputState;
 use super::status;
-use super::transport::{RawWriter, TopicQos, Written};
+use super::transport::{DdsTopic, RawWriter, TopicQos, Written};
 
 /// What the watcher of the graph leaves for the monitor.
 #[derive(Debug, Default)]
@@ -82,10 +82,14 @@ impl Monitor {
             is_latched: false,
             depth: 10,
         };
-        let diagnostics = RawWriter::new(context, &topic, DiagnosticArray::TYPE_NAME, qos)?;
+        let diagnostics = RawWriter::new(
+            context,
+            &DdsTopic::message(&topic, DiagnosticArray::TYPE_NAME),
+            qos,
+        )?;
         entities.add_writer(diagnostics.gid());
         let topic = names.resolve("~/status")?;
-        let status = RawWriter::new(context, &topic, Status::TYPE_NAME, qos)?;
+        let status = RawWriter::new(context, &DdsTopic::message(&topic, Status::TYPE_NAME), qos)?;
         entities.add_writer(status.gid());
         let Watched {
             control,
@@ -220,6 +224,7 @@ impl Monitor {
             paint: &paint,
             num_captures_replaced: shared.num_captures_replaced(),
             outputs: &outputs,
+            publish_depth: config.node.publish_depth,
             pose_source: config.pipeline.ingest.pose_source,
             transports: [config.node.image_transport, config.node.depth_transport],
             memory_bytes: resident_bytes().unwrap_or(0),

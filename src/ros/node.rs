@@ -20,7 +20,7 @@ use super::env::{Network, Security};
 use super::error::NodeError;
 use super::graph::{self, EntityList};
 use super::http;
-use super::inbox::Inbox;
+use super::inbox::{Inbox, InboxLimits};
 use super::inputs::{self, Chooser, Input};
 use super::lifecycle::Transition;
 use super::monitor::{GraphView, Monitor, Watched};
@@ -29,7 +29,7 @@ use super::output::{OutputParams, OutputState, Outputs};
 use super::receive::Receiving;
 use super::rosout::LogLines;
 use super::services::Services;
-use super::transport::{RawWriter, TopicQos};
+use super::transport::{DdsTopic, RawWriter, TopicQos};
 use super::{socket_buffer, transport};
 
 /// How often the graph is looked at.
@@ -85,7 +85,12 @@ impl Running {
         let (context, node) = make_node(setup)?;
         let entities = Arc::new(EntityList::new(&context, &names.node().fully_qualified())?);
         let capacities: Vec<usize> = inputs.iter().map(|input| input.queue_size).collect();
-        let inbox = Arc::new(Inbox::new(&capacities, bytes_from_mb(config.node.queue_mb)));
+        let limits = InboxLimits {
+            max_bytes: bytes_from_mb(config.node.queue_mb),
+            max_message_bytes: config.node.limits.message_bytes,
+            max_writers: config.node.limits.writers,
+        };
+        let inbox = Arc::new(Inbox::new(&capacities, limits));
         let clock = Arc::new(RosClock::new(config.node.use_sim_time));
         // The time of the start tells one run of the node from another.
         let session = u64::try_from(RosClock::new(false).now().as_nanos()).unwrap_or(0);
@@ -106,6 +111,7 @@ impl Running {
         let output = Arc::new(OutputState::new(config.node.publish_rate_mb * 1e6));
         let params = OutputParams {
             depth: config.node.publish_depth,
+            max_readers: config.node.limits.readers,
             publish: PublishParams {
                 history_messages: config.node.publish_depth,
                 ..config.publish
@@ -151,6 +157,7 @@ impl Running {
             &mut self.node,
             &setup.names,
             &self.context,
+            &self.entities,
             &executor,
             Arc::clone(&self.control),
         );
@@ -178,6 +185,7 @@ impl Running {
             context: &self.context,
             receiving: &self.receiving,
             inputs: &self.inputs,
+            max_publishers: setup.config.node.limits.publishers,
             entities: &self.entities,
             view: &graph_view,
         };
@@ -206,7 +214,11 @@ impl Running {
             is_latched: true,
             depth: 1000,
         };
-        let writer = RawWriter::new(&self.context, &topic, Log::TYPE_NAME, qos)?;
+        let writer = RawWriter::new(
+            &self.context,
+            &DdsTopic::message(&topic, Log::TYPE_NAME),
+            qos,
+        )?;
         self.entities.add_writer(writer.gid());
         let name = setup.names.node().fully_qualified();
         let name = name.trim_start_matches('/').replace('/', ".");
@@ -283,6 +295,7 @@ struct GraphWatcher<'a> {
     context: &'a Context,
     receiving: &'a Receiving,
     inputs: &'a [Input],
+    max_publishers: usize,
     entities: &'a EntityList,
     view: &'a GraphView,
 }
@@ -294,7 +307,7 @@ impl GraphWatcher<'_> {
         let mut changed_at = Instant::now();
         let mut sent_at = None;
         loop {
-            let offers = graph::offers(self.context);
+            let offers = graph::offers(self.context, self.inputs, self.max_publishers);
             for choice in chooser.update(Instant::now(), &offers) {
                 self.subscribe(&choice);
                 changed_at = Instant::now();
@@ -309,7 +322,13 @@ impl GraphWatcher<'_> {
                 self.entities.publish(self.context);
                 sent_at = Some(Instant::now());
             }
-            let complaints = inputs::complaints(self.inputs, &chooser, &offers);
+            let mut complaints = inputs::complaints(self.inputs, &chooser, &offers);
+            if offers.len() >= self.max_publishers {
+                complaints.push(format!(
+                    "the inputs have {} publishers or more, and no more are looked at: raise limits.publishers",
+                    offers.len()
+                ));
+            }
             self.view.set(offers, complaints);
             smol::Timer::after(LOOK_PERIOD).await;
         }

@@ -21,14 +21,15 @@ use rustdds::GUID;
 use rustdds::bytes::Bytes;
 
 use crate::pipeline::Latest;
-use crate::publish::{OutputTopic, PublishParams, Publisher, Snapshot};
+use crate::publish::{OutputTopic, PublishParams, Publisher};
 
 use super::engine::Painting;
 use super::error::NodeError;
 use super::graph::{self, EntityList};
 use super::names::NameResolver;
 use super::pacer::Pacer;
-use super::transport::{RawWriter, TopicQos, Written};
+use super::server::MAX_LOCAL_BYTES;
+use super::transport::{DdsTopic, RawWriter, TopicQos, Written};
 
 /// How often readers are looked for.
 const LOOK_PERIOD: Duration = Duration::from_millis(100);
@@ -55,6 +56,8 @@ pub struct OutputCounts {
     pub num_pending: usize,
     /// Revisions that a newer one replaced before a message of them was made.
     pub num_superseded: u64,
+    /// Messages of the last whole state.
+    pub num_whole: usize,
     /// Messages that DDS refused.
     pub num_failed: u64,
     /// Since when a reader does not acknowledge, if one does not.
@@ -125,8 +128,26 @@ impl OutputState {
 pub(super) struct OutputParams {
     /// Messages that each topic keeps.
     pub(super) depth: usize,
+    /// Readers of a topic that are told apart.
+    pub(super) max_readers: usize,
     /// How messages are made.
     pub(super) publish: PublishParams,
+}
+
+fn params_of(topic: OutputTopic, params: PublishParams) -> PublishParams {
+    match topic {
+        OutputTopic::MeshGeometry | OutputTopic::MeshMaterials => mesh_params(params),
+        _ => params,
+    }
+}
+
+/// How meshes of mesh_msgs are made: on topics and by services they must be the same, and a
+/// service's answers are short.
+pub(super) fn mesh_params(params: PublishParams) -> PublishParams {
+    PublishParams {
+        max_message_bytes: params.max_message_bytes.min(MAX_LOCAL_BYTES),
+        ..params
+    }
 }
 
 /// All outputs.
@@ -156,7 +177,8 @@ impl Outputs {
         let mut outputs = Vec::new();
         for topic in OutputTopic::ALL {
             let name = names.resolve(&format!("~/{}", topic.name()))?;
-            let writer = RawWriter::new(context, &name, topic.type_name(), qos)?;
+            let writer =
+                RawWriter::new(context, &DdsTopic::message(&name, topic.type_name()), qos)?;
             entities.add_writer(writer.gid());
             outputs.push(Output {
                 topic,
@@ -166,7 +188,7 @@ impl Outputs {
                 },
                 name,
                 writer,
-                publisher: Publisher::new(params.publish),
+                publisher: Publisher::new(params_of(topic, params.publish)),
                 pending: VecDeque::new(),
                 readers: BTreeMap::new(),
                 made: None,
@@ -230,7 +252,7 @@ impl Outputs {
 
     fn look_for_readers(&mut self) {
         for output in &mut self.outputs {
-            let readers = graph::readers(&self.context, &output.name);
+            let readers = graph::readers(&self.context, &output.name, self.params.max_readers);
             let is_new = |reader: &GUID| !output.readers.contains_key(reader);
             let has_new = readers.keys().any(is_new);
             let has_new_volatile = readers
@@ -250,18 +272,7 @@ impl Outputs {
         let Some(painting) = self.current.clone() else {
             return;
         };
-        let (revision, painted) = (painting.revision, &painting.painted);
-        let frame = painted.capture.ingest.world_frame.as_deref();
-        let snapshot = Snapshot {
-            stamp: painted.capture.stamp,
-            frame_id: frame.unwrap_or_default(),
-            session: painting.session,
-            revision,
-            mesh: &painted.mesh,
-            layout: &painted.layout,
-            texture: &painted.texture,
-            keyframes: &painted.keyframes,
-        };
+        let (revision, snapshot) = (painting.revision, painting.snapshot());
         for output in &mut self.outputs {
             match output.whole_at {
                 Some(at) if Instant::now() < at => continue,
@@ -275,13 +286,16 @@ impl Outputs {
             }
             if output.needs_whole {
                 // A publisher that has sent nothing sends the whole, of this revision too.
-                output.publisher = Publisher::new(self.params.publish);
+                output.publisher = Publisher::new(params_of(output.topic, self.params.publish));
                 output.needs_whole = false;
             }
             output.made = Some(revision);
             let topic = output.topic;
             match output.publisher.publish(&snapshot, &|t| t == topic) {
                 Ok(messages) => {
+                    if output.publisher.num_messages_since_whole(topic) == messages.len() {
+                        output.counts.num_whole = messages.len();
+                    }
                     output
                         .pending
                         .extend(messages.into_iter().map(|m| Bytes::from(m.bytes)));

@@ -13,7 +13,7 @@ use crate::config::parameter::{Access, Parameter};
 use crate::config::{Config, tree};
 
 /// Families and names that can be set while the node runs.
-const LIVE: [&str; 10] = [
+const LIVE: [&str; 11] = [
     "texinit.",
     "texsmooth.",
     "photometric.",
@@ -22,14 +22,12 @@ const LIVE: [&str; 10] = [
     "save.",
     "idle_flush",
     "paint_period",
+    "refine_iterations",
     "publish.rate_mb",
     "diagnostics.period",
 ];
 /// Families whose change makes the present texture another one.
 const PAINTING: [&str; 4] = ["texinit.", "texsmooth.", "photometric.", "mesh."];
-
-/// Most parameters that one request may name; a peer's list must not make the node work for long.
-pub const MAX_NAMES: usize = 2000;
 
 fn is_of(name: &str, families: &[&str]) -> bool {
     families.iter().any(|family| {
@@ -106,10 +104,18 @@ fn value_of(row: &Parameter, config: &mut Config) -> raw::ParameterValue {
     value
 }
 
-/// The values of `names`; where one is unknown ROS gives none at all.
+/// Whether a request names no more than it may: a peer's list must not make the node work for long.
+fn is_short(config: &Config, names: &[String]) -> bool {
+    names.len() <= config.node.limits.request_names
+}
+
+/// The values of `names`; where one is unknown, or there are too many, ROS gives none at all.
 pub fn get(config: &mut Config, names: &[String]) -> Vec<raw::ParameterValue> {
     let mut values = Vec::new();
-    for name in names.iter().take(MAX_NAMES) {
+    if !is_short(config, names) {
+        return values;
+    }
+    for name in names {
         match row(name) {
             Some(row) => values.push(value_of(row, config)),
             None => return Vec::new(),
@@ -118,16 +124,22 @@ pub fn get(config: &mut Config, names: &[String]) -> Vec<raw::ParameterValue> {
     values
 }
 
-/// The types of `names`, 0 for an unknown one.
+/// The types of `names`, 0 for an unknown one; none where there are too many.
 pub fn types(config: &mut Config, names: &[String]) -> Vec<u8> {
+    if !is_short(config, names) {
+        return Vec::new();
+    }
     let of = |name: &String| row(name).map_or(0, |row| value_of(row, config).ptype);
-    names.iter().take(MAX_NAMES).map(of).collect()
+    names.iter().map(of).collect()
 }
 
-/// What `names` are.
+/// What `names` are; nothing where there are too many.
 pub fn describe(config: &mut Config, names: &[String]) -> Vec<raw::ParameterDescriptor> {
+    if !is_short(config, names) {
+        return Vec::new();
+    }
     let mut of = |name: &String| describe_one(config, name);
-    names.iter().take(MAX_NAMES).map(&mut of).collect()
+    names.iter().map(&mut of).collect()
 }
 
 fn describe_one(config: &mut Config, name: &str) -> raw::ParameterDescriptor {
@@ -187,12 +199,19 @@ fn describe_one(config: &mut Config, name: &str) -> raw::ParameterDescriptor {
     descriptor
 }
 
-/// The names below `prefixes`, at most `depth` parts deep; 0 means all.
-pub fn list(prefixes: &[String], depth: u64) -> ListParametersResult {
+/// The names below `prefixes`, at most `depth` parts deep; 0 means all. None where there are too many
+/// prefixes.
+pub fn list(config: &Config, prefixes: &[String], depth: u64) -> ListParametersResult {
+    if !is_short(config, prefixes) {
+        return ListParametersResult {
+            names: Vec::new(),
+            prefixes: Vec::new(),
+        };
+    }
     let is_shallow = |rest: &str| depth == 0 || (rest.matches('.').count() as u64) < depth;
     let is_wanted = |name: &str| {
         prefixes.is_empty() && is_shallow(name)
-            || prefixes.iter().take(MAX_NAMES).any(|prefix| {
+            || prefixes.iter().any(|prefix| {
                 let rest = name.strip_prefix(prefix.as_str());
                 rest.is_some_and(|rest| {
                     rest.is_empty() || rest.strip_prefix('.').is_some_and(is_shallow)
@@ -277,7 +296,7 @@ mod tests {
     #[test]
     fn every_parameter_is_listed_described_and_has_a_value() {
         let mut config = Config::default();
-        let listed = list(&[], 0).names;
+        let listed = list(&config, &[], 0).names;
         assert_eq!(listed.len(), tree::PARAMETERS.len());
         let values = get(&mut config, &listed);
         let described = describe(&mut config, &listed);
@@ -298,14 +317,18 @@ mod tests {
 
     #[test]
     fn lists_go_by_prefix_and_depth() {
-        let one = list(&["texinit.chart".to_owned()], 0);
+        let config = Config::default();
+        let one = list(&config, &["texinit.chart".to_owned()], 0);
         assert!(one.names.iter().all(|n| n.starts_with("texinit.chart.")));
         assert_eq!(one.prefixes, ["texinit.chart"]);
-        let top = list(&[], 1).names;
+        let top = list(&config, &[], 1).names;
         assert!(top.contains(&"approx_sync".to_owned()));
         assert!(top.iter().all(|name| !name.contains('.')));
-        assert!(list(&["texin".to_owned()], 0).names.is_empty());
-        assert_eq!(list(&["approx_sync".to_owned()], 0).names, ["approx_sync"]);
+        assert!(list(&config, &["texin".to_owned()], 0).names.is_empty());
+        assert_eq!(
+            list(&config, &["approx_sync".to_owned()], 0).names,
+            ["approx_sync"]
+        );
     }
 
     #[test]
@@ -332,6 +355,19 @@ mod tests {
         assert!(describe(&mut config, &["keyframe.budget_mb".to_owned()])[0].read_only);
         let unset = parameter("texinit.gutters", |_| {});
         assert!(set(&mut config, &unset).is_err());
+    }
+
+    #[test]
+    fn a_request_of_too_many_names_gets_nothing() {
+        let mut config = Config::default();
+        config.set("limits.request_names", "2").unwrap();
+        let names = vec!["approx_sync".to_owned(); 3];
+        assert!(get(&mut config, &names).is_empty());
+        assert!(types(&mut config, &names).is_empty());
+        assert!(describe(&mut config, &names).is_empty());
+        assert!(list(&config, &names, 0).names.is_empty());
+        assert_eq!(get(&mut config, &names[..2]).len(), 2);
+        assert_eq!(list(&config, &names[..2], 0).names, ["approx_sync"]);
     }
 
     #[test]

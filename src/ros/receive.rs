@@ -15,7 +15,7 @@ use super::error::NodeError;
 use super::graph::EntityList;
 use super::inbox::{Inbox, Waiting};
 use super::inputs::{Choice, Input};
-use super::transport::{RawReader, TopicQos};
+use super::transport::{DdsTopic, RawReader, TopicQos};
 
 /// Orders that may wait: more than there are inputs.
 const MAX_ORDERS: usize = 64;
@@ -65,7 +65,11 @@ impl Receiving {
     pub(super) fn subscribe(&self, inputs: &[Input], choice: &Choice) -> Result<(), NodeError> {
         let topic = &inputs[choice.input].topic;
         let type_name = choice.message_type.name();
-        let reader = RawReader::new(&self.context, topic, type_name, choice.qos)?;
+        let reader = RawReader::new(
+            &self.context,
+            &DdsTopic::message(topic, type_name),
+            choice.qos,
+        )?;
         self.entities.add_reader(reader.gid());
         self.order(
             topic,
@@ -79,7 +83,11 @@ impl Receiving {
 
     /// Subscribes to `/clock`, or what it was remapped to.
     pub(super) fn subscribe_clock(&self, topic: &str) -> Result<(), NodeError> {
-        let reader = RawReader::new(&self.context, topic, CLOCK_TYPE, TopicQos::SENSOR_DATA)?;
+        let reader = RawReader::new(
+            &self.context,
+            &DdsTopic::message(topic, CLOCK_TYPE),
+            TopicQos::SENSOR_DATA,
+        )?;
         self.entities.add_reader(reader.gid());
         self.order(topic, Order::Clock(Box::new(reader)))
     }

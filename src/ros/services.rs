@@ -1,51 +1,37 @@
 //! The node's services: requests in, answers out, each on a task of its own.
 
+mod mesh;
+mod parameter;
+
 use std::future::Future;
 use std::sync::Arc;
-use std::time::{Duration, Instant};
 
-use byteorder::LittleEndian;
-use ros2_client::builtin_interfaces::Time;
-use ros2_client::parameters::raw;
-use ros2_client::qos::{History, QosProfile};
-use ros2_client::rcl_interfaces as rcl;
-use ros2_client::{
-    Context, Message, Name, Node, Publisher, Server, ServiceMapping, ServiceTypeName,
-};
+use byteorder::{BigEndian, LittleEndian};
+use ros2_client::qos::QosProfile;
+use ros2_client::{Context, Name, Node, Publisher};
+use rustdds::cdr_encoding;
+use serde::Serialize;
+use serde::de::DeserializeOwned;
 use smol::LocalExecutor;
 
 use super::clock::RosClock;
 use super::control::{Answer, Control};
 use super::error::NodeError;
-use super::graph;
+use super::graph::EntityList;
 use super::lifecycle::{State, Transition};
 use super::names::NameResolver;
-use super::parameters;
+use super::server::{RawServer, Request};
 use super::service_types::{
     AvailableStates, AvailableTransitions, ChangeState, CurrentState, Done, Empty, FilePath,
     Shorten, StateChanged, StateMessage, TransitionDescription, TransitionEvent, TransitionMessage,
 };
-
-/// Requests that wait; more than a person or a manager sends at once.
-const QUEUE_SIZE: usize = 10;
-/// Rest after a request that could not be read: a peer that sends nothing else gets no more.
-const REST: Duration = Duration::from_millis(20);
-/// How long an answer waits for its client to be known.
-const CLIENT_WAIT: Duration = Duration::from_secs(1);
-/// How often that is looked at.
-const CLIENT_POLL: Duration = Duration::from_millis(10);
-/// Longest answer, bytes. RustDDS 0.15.1 writes a message that goes in fragments and has inline QoS
-/// (as answers do: whose request it was) with a byte too many, and no client can read it; so an
-/// answer must go in one datagram of a network with an MTU of 1500.
-const MAX_ANSWER_BYTES: usize = 1280;
-/// The part of an entity's id that is its participant's.
-const GUID_PREFIX_BYTES: usize = 12;
 
 /// Makes servers at a node, and tasks that serve them.
 pub(super) struct Services<'a> {
     node: &'a mut Node,
     names: &'a NameResolver,
     context: &'a Context,
+    entities: &'a EntityList,
     executor: &'a LocalExecutor<'static>,
     control: Arc<Control>,
 }
@@ -55,6 +41,7 @@ impl<'a> Services<'a> {
         node: &'a mut Node,
         names: &'a NameResolver,
         context: &'a Context,
+        entities: &'a EntityList,
         executor: &'a LocalExecutor<'static>,
         control: Arc<Control>,
     ) -> Self {
@@ -62,6 +49,7 @@ impl<'a> Services<'a> {
             node,
             names,
             context,
+            entities,
             executor,
             control,
         }
@@ -72,76 +60,71 @@ impl<'a> Services<'a> {
         self.offer_triggers()?;
         self.offer_files()?;
         self.offer_lifecycle(clock)?;
+        self.offer_meshes()?;
         self.offer_parameters()
     }
 
-    fn server<Req, Resp>(
-        &mut self,
-        name: &str,
-        package: &str,
-        type_name: &str,
-    ) -> Result<Server<Req, Resp>, NodeError>
-    where
-        Req: Message + Clone + 'static,
-        Resp: Message + 'static,
-    {
-        let resolved = self.names.resolve(&format!("~/{name}"))?;
-        let failed = |error: &dyn std::fmt::Display| NodeError::dds(&resolved, error);
-        let qos = QosProfile::publisher_default().history(History::KeepLast { depth: QUEUE_SIZE });
-        let service = Name::parse(&resolved).map_err(|e| failed(&e))?;
-        self.node
-            .create_server(
-                ServiceMapping::Enhanced,
-                &service,
-                &ServiceTypeName::new(package, type_name),
-                qos.clone(),
-                qos,
-            )
-            .map_err(|e| failed(&e))
-    }
-
-    /// Serves `name` by `answer`, one request after the other.
-    fn serve<Req, Resp, F>(
+    /// Serves `name`, of the type `package/srv/Name`, by `answer`: one request after the other, as
+    /// bytes. It is given the longest answer that arrives, and answers nothing by `None`.
+    fn serve_bytes<F>(
         &mut self,
         name: &'static str,
-        (package, type_name): (&str, &str),
-        answer: impl Fn(Arc<Control>, Req) -> F + 'static,
+        type_name: &str,
+        answer: impl Fn(Arc<Control>, Vec<u8>, usize) -> F + 'static,
     ) -> Result<(), NodeError>
     where
-        Req: Message + Clone + 'static,
-        Resp: Message + Shorten + 'static,
-        F: Future<Output = Resp> + 'static,
+        F: Future<Output = Option<Vec<u8>>> + 'static,
     {
-        let server = self.server::<Req, Resp>(name, package, type_name)?;
+        let service = self.names.resolve(&format!("~/{name}"))?;
+        let server = RawServer::new(self.context, &service, type_name)?;
+        let (reader, writer) = server.gids();
+        self.entities.add_reader(reader);
+        self.entities.add_writer(writer);
         let control = Arc::clone(&self.control);
-        let context = self.context.clone();
-        let replies = format!("rr{}Reply", self.names.resolve(&format!("~/{name}"))?);
+        let max_bytes = control.shared.config().node.limits.request_bytes;
         let task = async move {
-            loop {
-                let (id, request) = match server.async_receive_request().await {
-                    Ok(received) => received,
-                    Err(error) => {
-                        tracing::warn!("~/{name}: a request could not be read: {error}");
-                        smol::Timer::after(REST).await;
-                        continue;
-                    }
-                };
-                let response = answer(Arc::clone(&control), request).await;
-                let Some(response) = fitted(name, response) else {
-                    continue;
-                };
-                wait_for_client(&context, &replies, id.writer_gid.to_bytes16()).await;
-                if let Err(error) = server.async_send_response(id, response).await {
-                    tracing::warn!("~/{name}: the answer was not sent: {error}");
+            let answer = |request: Request, longest| {
+                let is_too_long = request.bytes.len() > max_bytes;
+                if is_too_long {
+                    let num_bytes = request.bytes.len();
+                    tracing::warn!(
+                        "~/{name}: a request of {num_bytes} bytes was refused; limits.request_bytes is {max_bytes}"
+                    );
                 }
-            }
+                let taken =
+                    (!is_too_long).then(|| answer(Arc::clone(&control), request.bytes, longest));
+                async move { taken?.await }
+            };
+            server.serve(answer).await;
         };
         self.executor.spawn(task).detach();
         Ok(())
     }
 
+    /// Serves `name` by `answer`, with requests and answers as serde has them.
+    fn serve<Req, Resp, F>(
+        &mut self,
+        name: &'static str,
+        type_name: &str,
+        answer: impl Fn(Arc<Control>, Req) -> F + 'static,
+    ) -> Result<(), NodeError>
+    where
+        Req: DeserializeOwned + 'static,
+        Resp: Serialize + Shorten + 'static,
+        F: Future<Output = Resp> + 'static,
+    {
+        self.serve_bytes(name, type_name, move |control, bytes, longest| {
+            let request = decoded::<Req>(&bytes);
+            if let Err(error) = &request {
+                tracing::warn!("~/{name}: a request could not be read: {error}");
+            }
+            let response = request.ok().map(|request| answer(control, request));
+            async move { fitted(name, response?.await, longest) }
+        })
+    }
+
     fn offer_triggers(&mut self) -> Result<(), NodeError> {
-        let trigger = ("std_srvs", "Trigger");
+        let trigger = "std_srvs/srv/Trigger";
         type Act = fn(&Control) -> Answer;
         let acts: [(&'static str, Act); 5] = [
             ("reset", |control| control.reset()),
@@ -159,7 +142,7 @@ impl<'a> Services<'a> {
     }
 
     fn offer_files(&mut self) -> Result<(), NodeError> {
-        let file_path = ("veneer", "FilePath");
+        let file_path = "veneer/srv/FilePath";
         self.serve("save", file_path, |control, request: FilePath| {
             apart("save", move || control.save(&request.file_path))
         })?;
@@ -172,7 +155,7 @@ impl<'a> Services<'a> {
         let events = Arc::new(self.transition_events()?);
         self.serve(
             "change_state",
-            ("lifecycle_msgs", "ChangeState"),
+            "lifecycle_msgs/srv/ChangeState",
             move |control, request: ChangeState| {
                 let (events, clock) = (Arc::clone(&events), Arc::clone(&clock));
                 async move {
@@ -192,7 +175,7 @@ impl<'a> Services<'a> {
                 }
             },
         )?;
-        let get_state = ("lifecycle_msgs", "GetState");
+        let get_state = "lifecycle_msgs/srv/GetState";
         self.serve("get_state", get_state, |control, _: Empty| async move {
             CurrentState {
                 current_state: state_message(control.state()),
@@ -200,7 +183,7 @@ impl<'a> Services<'a> {
         })?;
         self.serve(
             "get_available_states",
-            ("lifecycle_msgs", "GetAvailableStates"),
+            "lifecycle_msgs/srv/GetAvailableStates",
             |_, _: Empty| async move {
                 AvailableStates {
                     available_states: State::ALL.map(state_message).to_vec(),
@@ -209,7 +192,7 @@ impl<'a> Services<'a> {
         )?;
         self.serve(
             "get_available_transitions",
-            ("lifecycle_msgs", "GetAvailableTransitions"),
+            "lifecycle_msgs/srv/GetAvailableTransitions",
             |control, _: Empty| async move {
                 let state = control.state();
                 let available = Transition::available(state).into_iter();
@@ -235,129 +218,53 @@ impl<'a> Services<'a> {
             .create_publisher(&topic, None)
             .map_err(|e| failed(&e))
     }
-
-    fn offer_parameters(&mut self) -> Result<(), NodeError> {
-        let node_name = self.names.node().fully_qualified();
-        let events = Arc::new(self.parameter_events()?);
-        let of = |type_name| ("rcl_interfaces", type_name);
-        self.serve(
-            "get_parameters",
-            of("GetParameters"),
-            |control, request: rcl::GetParametersRequest| async move {
-                let values = parameters::get(&mut control.shared.config(), &request.names);
-                rcl::GetParametersResponse { values }
-            },
-        )?;
-        self.serve(
-            "get_parameter_types",
-            of("GetParameterTypes"),
-            |control, request: rcl::GetParameterTypesRequest| async move {
-                let values = parameters::types(&mut control.shared.config(), &request.names);
-                rcl::GetParameterTypesResponse { values }
-            },
-        )?;
-        self.serve(
-            "describe_parameters",
-            of("DescribeParameters"),
-            |control, request: rcl::DescribeParametersRequest| async move {
-                let values = parameters::describe(&mut control.shared.config(), &request.names);
-                rcl::DescribeParametersResponse { values }
-            },
-        )?;
-        self.serve(
-            "list_parameters",
-            of("ListParameters"),
-            |_, request: rcl::ListParametersRequest| async move {
-                rcl::ListParametersResponse {
-                    result: parameters::list(&request.prefixes, request.depth),
-                }
-            },
-        )?;
-        let set = move |is_atomic: bool| {
-            let (events, node_name) = (Arc::clone(&events), node_name.clone());
-            move |control: Arc<Control>, request: rcl::SetParametersRequest| {
-                let (events, node_name) = (Arc::clone(&events), node_name.clone());
-                async move {
-                    let wanted = request.parameter;
-                    let work = move || control.set_parameters(&wanted, is_atomic);
-                    let (results, changed) = smol::unblock(work).await;
-                    tell_changed(&events, node_name, changed);
-                    results
-                }
-            }
-        };
-        let one_by_one = set(false);
-        self.serve(
-            "set_parameters",
-            of("SetParameters"),
-            move |control, request| {
-                let results = one_by_one(control, request);
-                async move {
-                    let results = results.await.into_iter().map(Into::into).collect();
-                    rcl::SetParametersResponse { results }
-                }
-            },
-        )?;
-        let all_or_none = set(true);
-        self.serve(
-            "set_parameters_atomically",
-            of("SetParametersAtomically"),
-            move |control, request| {
-                let results = all_or_none(control, request);
-                async move {
-                    let results = results.await;
-                    let failed = results.into_iter().find(Result::is_err);
-                    rcl::SetParametersAtomicallyResponse {
-                        result: failed.unwrap_or(Ok(())).into(),
-                    }
-                }
-            },
-        )
-    }
-
-    fn parameter_events(&mut self) -> Result<Publisher<raw::ParameterEvent>, NodeError> {
-        let topic = self.context.get_parameter_events_topic();
-        self.node
-            .create_publisher(&topic, None)
-            .map_err(|e| NodeError::dds("/parameter_events", &e))
-    }
 }
 
-/// Shortens an answer until DDS can carry it; `None` where it cannot be.
-fn fitted<Resp: Message + Shorten>(name: &str, mut response: Resp) -> Option<Resp> {
+/// What a request holds, behind its encapsulation header.
+fn decoded<Req: DeserializeOwned>(bytes: &[u8]) -> Result<Req, String> {
+    let read = match bytes {
+        [0, 0, _, _, body @ ..] => cdr_encoding::from_bytes::<Req, BigEndian>(body),
+        [0, 1, _, _, body @ ..] => cdr_encoding::from_bytes::<Req, LittleEndian>(body),
+        _ => return Err("it is not plain CDR".to_owned()),
+    };
+    read.map(|(request, _)| request)
+        .map_err(|error| error.to_string())
+}
+
+/// An answer, shortened until it is no longer than `max_bytes`; `None` where it cannot be.
+fn fitted<Resp: Serialize + Shorten>(
+    name: &str,
+    mut response: Resp,
+    max_bytes: usize,
+) -> Option<Vec<u8>> {
     let mut was_shortened = false;
     loop {
-        let size = rustdds::cdr_encoding::to_vec::<_, LittleEndian>(&response).map(|b| b.len());
-        if matches!(size, Ok(0..=MAX_ANSWER_BYTES)) {
-            if was_shortened {
-                tracing::warn!(
-                    "~/{name}: the answer was cut to {MAX_ANSWER_BYTES} bytes; ask for less at a time, by prefix or by name"
-                );
+        match encoded(&response) {
+            Ok(bytes) if bytes.len() <= max_bytes => {
+                if was_shortened {
+                    tracing::warn!(
+                        "~/{name}: the answer was cut to {max_bytes} bytes; ask for less at a time, by prefix or by name"
+                    );
+                }
+                return Some(bytes);
             }
-            return Some(response);
+            Ok(_) => {}
+            Err(error) => {
+                tracing::error!("~/{name}: the answer cannot be written: {error}");
+                return None;
+            }
         }
         was_shortened = true;
         if !response.shorten() {
-            tracing::error!("~/{name}: the answer does not fit into {MAX_ANSWER_BYTES} bytes");
+            tracing::error!("~/{name}: the answer does not fit into {max_bytes} bytes");
             return None;
         }
     }
 }
 
-/// Waits until the client's own reader is known: a client may ask before it is, and an answer sent
-/// to nobody comes only with the next heartbeat, seconds later.
-async fn wait_for_client(context: &Context, replies: &str, client: [u8; 16]) {
-    let begun = Instant::now();
-    while begun.elapsed() < CLIENT_WAIT {
-        if graph::is_read_by(context, replies, &client[..GUID_PREFIX_BYTES]) {
-            // Discovery knows it now; the writer is told a moment later.
-            if begun.elapsed() > CLIENT_POLL {
-                smol::Timer::after(CLIENT_POLL).await;
-            }
-            return;
-        }
-        smol::Timer::after(CLIENT_POLL).await;
-    }
+fn encoded(response: &impl Serialize) -> Result<Vec<u8>, String> {
+    let body = cdr_encoding::to_vec::<_, LittleEndian>(response).map_err(|e| e.to_string())?;
+    Ok([&[0, 1, 0, 0], &body[..]].concat())
 }
 
 /// Does what may take long on a thread of its own.
@@ -415,25 +322,5 @@ fn tell(
     };
     if let Err(error) = events.publish(event) {
         tracing::debug!("a transition was not told: {error}");
-    }
-}
-
-fn tell_changed(
-    events: &Publisher<raw::ParameterEvent>,
-    node: String,
-    changed_parameters: Vec<raw::Parameter>,
-) {
-    if changed_parameters.is_empty() {
-        return;
-    }
-    let event = raw::ParameterEvent {
-        stamp: Time::now(),
-        node,
-        new_parameters: Vec::new(),
-        changed_parameters,
-        deleted_parameters: Vec::new(),
-    };
-    if let Err(error) = events.publish(event) {
-        tracing::debug!("a change of parameters was not told: {error}");
     }
 }

@@ -61,7 +61,9 @@ fn input<'a>(observed: &InputObservation<'a>, seen: &Observation<'a>) -> TopicSt
         type_name: input.types.first().map_or("", |t| t.name()),
         num_received: counts.num_received,
         num_used: report.map_or(0, |report| report.num_used),
-        num_refused: report.map_or(0, |report| report.num_refused()) + counts.num_unreadable,
+        num_refused: report.map_or(0, |report| report.num_refused())
+            + counts.num_unreadable
+            + counts.num_too_long,
         num_dropped: counts.num_dropped_full + counts.num_dropped_closed + counts.num_lost,
         rate_hz: single(observed.rate_hz),
         age_s: observed.age.map_or(-1.0, |age| age.as_secs_f32()),

@@ -2,7 +2,7 @@
 //!
 //! Readers hand over each sample as ROS serialises it, with its 4-byte encapsulation header, and
 //! with the writer and sequence number that it came with; a gap in a writer's numbers is what was
-//! lost on the way. Writers take such bytes. Both are RustDDS' own, made at the participant that
+//! lost on the way. Writers take such bytes. Services are two topics, of requests and of answers. Both are RustDDS' own, made at the participant that
 //! ros2-client's node uses, since the node's own decode on the task that receives.
 
 use std::convert::Infallible;
@@ -16,9 +16,11 @@ use rustdds::bytes::Bytes;
 use rustdds::dds::adapters::no_key::{
     Decode, DefaultDecoder, DeserializerAdapter, SerializerAdapter,
 };
+use rustdds::rpc::SampleIdentity;
 use rustdds::{
     DomainParticipant, DomainParticipantBuilder, GUID, QosPolicies, RTPSEntity,
-    RepresentationIdentifier, Timestamp, TopicKind, no_key,
+    RepresentationIdentifier, SequenceNumber, Timestamp, Topic, TopicKind, WriteOptions,
+    WriteOptionsBuilder, no_key,
 };
 
 use super::env::{Network, Security};
@@ -153,6 +155,8 @@ pub(super) struct RawSample {
     pub(super) writer: GUID,
     /// Its number among that writer's.
     pub(super) sequence_number: i64,
+    /// By what an answer to it is known as such: what the client asked for, else writer and number.
+    pub(super) identity: SampleIdentity,
 }
 
 /// Makes a participant that keeps to `network` and, where asked for, talks to secured peers only.
@@ -203,12 +207,56 @@ fn secured(
     Err(NodeError::dds("the security enclave", &words))
 }
 
-/// `package/msg/Name` as DDS calls it.
-pub(super) fn dds_type_name(type_name: &str) -> String {
+/// A topic as DDS calls it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct DdsTopic {
+    pub(super) name: String,
+    type_name: String,
+}
+
+impl DdsTopic {
+    /// Of a ROS topic and its type `package/msg/Name`.
+    pub(super) fn message(topic: &str, type_name: &str) -> Self {
+        Self {
+            name: dds_topic_name(topic),
+            type_name: dds_type_name(type_name, "msg", ""),
+        }
+    }
+
+    /// Of the requests to a service of the type `package/srv/Name`.
+    pub(super) fn request(service: &str, type_name: &str) -> Self {
+        Self {
+            name: format!("rq{service}Request"),
+            type_name: dds_type_name(type_name, "srv", "_Request"),
+        }
+    }
+
+    /// Of a service's answers.
+    pub(super) fn reply(service: &str, type_name: &str) -> Self {
+        Self {
+            name: format!("rr{service}Reply"),
+            type_name: dds_type_name(type_name, "srv", "_Response"),
+        }
+    }
+
+    fn create(&self, context: &Context, policies: &QosPolicies) -> Result<Topic, NodeError> {
+        let participant = context.domain_participant();
+        let (name, type_name) = (self.name.clone(), self.type_name.clone());
+        let topic = participant.create_topic(name, type_name, policies, TopicKind::NoKey);
+        topic.map_err(|error| self.failed(&error))
+    }
+
+    fn failed(&self, error: &dyn std::fmt::Display) -> NodeError {
+        NodeError::dds(&self.name, error)
+    }
+}
+
+/// `package/kind/Name` as DDS calls it.
+fn dds_type_name(type_name: &str, kind: &str, suffix: &str) -> String {
     let mut parts = type_name.split('/');
     let package = parts.next().unwrap_or_default();
     let last = parts.next_back().unwrap_or_default();
-    format!("{package}::msg::dds_::{last}_")
+    format!("{package}::{kind}::dds_::{last}{suffix}_")
 }
 
 /// What DDS calls `package/msg/Name`, if it is a ROS message.
@@ -235,27 +283,15 @@ pub(super) struct RawReader {
 impl RawReader {
     pub(super) fn new(
         context: &Context,
-        topic: &str,
-        type_name: &str,
+        topic: &DdsTopic,
         qos: TopicQos,
     ) -> Result<Self, NodeError> {
-        let failed = |error: &dyn std::fmt::Display| NodeError::dds(topic, error);
         let policies = qos.policies();
-        let participant = context.domain_participant();
-        let dds_topic = participant
-            .create_topic(
-                dds_topic_name(topic),
-                dds_type_name(type_name),
-                &policies,
-                TopicKind::NoKey,
-            )
-            .map_err(|e| failed(&e))?;
-        let subscriber = participant
-            .create_subscriber(&policies)
-            .map_err(|e| failed(&e))?;
-        let reader = subscriber
-            .create_simple_datareader_no_key(&dds_topic, Some(policies))
-            .map_err(|e| failed(&e))?;
+        let dds_topic = topic.create(context, &policies)?;
+        let subscriber = context.domain_participant().create_subscriber(&policies);
+        let subscriber = subscriber.map_err(|error| topic.failed(&error))?;
+        let reader = subscriber.create_simple_datareader_no_key(&dds_topic, Some(policies));
+        let reader = reader.map_err(|error| topic.failed(&error))?;
         Ok(Self { reader })
     }
 
@@ -270,11 +306,33 @@ impl RawReader {
                 .map(|change| RawSample {
                     writer: change.writer_guid,
                     sequence_number: change.sequence_number.into(),
+                    identity: identity(
+                        change.write_options.related_sample_identity(),
+                        change.writer_guid,
+                        change.sequence_number,
+                    ),
                     bytes: change.into_value(),
                 })
                 .map_err(|error| error.to_string())
         })
     }
+}
+
+/// By what an answer is known to be one to this sample. Fast DDS leaves the number out where it is
+/// the sample's own.
+fn identity(
+    asked: Option<SampleIdentity>,
+    writer_guid: GUID,
+    sequence_number: SequenceNumber,
+) -> SampleIdentity {
+    let mut identity = asked.unwrap_or(SampleIdentity {
+        writer_guid,
+        sequence_number,
+    });
+    if identity.sequence_number == SequenceNumber::UNKNOWN {
+        identity.sequence_number = sequence_number;
+    }
+    identity
 }
 
 /// What became of a message that was to be written.
@@ -296,27 +354,15 @@ pub(super) struct RawWriter {
 impl RawWriter {
     pub(super) fn new(
         context: &Context,
-        topic: &str,
-        type_name: &str,
+        topic: &DdsTopic,
         qos: TopicQos,
     ) -> Result<Self, NodeError> {
-        let failed = |error: &dyn std::fmt::Display| NodeError::dds(topic, error);
         let policies = qos.policies();
-        let participant = context.domain_participant();
-        let dds_topic = participant
-            .create_topic(
-                dds_topic_name(topic),
-                dds_type_name(type_name),
-                &policies,
-                TopicKind::NoKey,
-            )
-            .map_err(|e| failed(&e))?;
-        let publisher = participant
-            .create_publisher(&policies)
-            .map_err(|e| failed(&e))?;
-        let writer = publisher
-            .create_datawriter_no_key(&dds_topic, Some(policies))
-            .map_err(|e| failed(&e))?;
+        let dds_topic = topic.create(context, &policies)?;
+        let publisher = context.domain_participant().create_publisher(&policies);
+        let publisher = publisher.map_err(|error| topic.failed(&error))?;
+        let writer = publisher.create_datawriter_no_key(&dds_topic, Some(policies));
+        let writer = writer.map_err(|error| topic.failed(&error))?;
         Ok(Self { writer })
     }
 
@@ -326,8 +372,28 @@ impl RawWriter {
 
     /// Writes a serialised message with its encapsulation header; never blocks.
     pub(super) fn write(&self, message: Bytes) -> Written {
-        match self.writer.write(message, Some(Timestamp::now())) {
-            Ok(()) => Written::Sent,
+        self.write_with(message, WriteOptions::from(Some(Timestamp::now())))
+    }
+
+    /// The same as an answer to the request `identity`, for one reader where it is known.
+    pub(super) fn answer(
+        &self,
+        message: Bytes,
+        identity: SampleIdentity,
+        reader: Option<GUID>,
+    ) -> Written {
+        let mut options = WriteOptionsBuilder::new()
+            .source_timestamp(Timestamp::now())
+            .related_sample_identity(identity);
+        if let Some(reader) = reader {
+            options = options.to_single_reader(reader);
+        }
+        self.write_with(message, options.build())
+    }
+
+    fn write_with(&self, message: Bytes, options: WriteOptions) -> Written {
+        match self.writer.write_with_options(message, options) {
+            Ok(_) => Written::Sent,
             Err(rustdds::dds::WriteError::WouldBlock { data }) => Written::WindowFull(data),
             Err(error) => Written::Failed(error.to_string()),
         }
@@ -340,9 +406,16 @@ mod tests {
 
     #[test]
     fn names_go_to_dds_and_back() {
-        let dds = dds_type_name("sensor_msgs/msg/Image");
-        assert_eq!(dds, "sensor_msgs::msg::dds_::Image_");
-        assert_eq!(ros_type_name(&dds).unwrap(), "sensor_msgs/msg/Image");
+        let topic = DdsTopic::message("/a/b", "sensor_msgs/msg/Image");
+        assert_eq!(topic.type_name, "sensor_msgs::msg::dds_::Image_");
+        let back = ros_type_name(&topic.type_name);
+        assert_eq!(back.unwrap(), "sensor_msgs/msg/Image");
+        let request = DdsTopic::request("/a/set", "std_srvs/srv/Trigger");
+        assert_eq!(request.name, "rq/a/setRequest");
+        assert_eq!(request.type_name, "std_srvs::srv::dds_::Trigger_Request_");
+        let reply = DdsTopic::reply("/a/set", "std_srvs/srv/Trigger");
+        assert_eq!(reply.name, "rr/a/setReply");
+        assert_eq!(reply.type_name, "std_srvs::srv::dds_::Trigger_Response_");
         assert_eq!(ros_type_name("sensor_msgs::srv::dds_::X_"), None);
         assert_eq!(ros_topic_name(&dds_topic_name("/a/b")), Some("/a/b"));
         assert_eq!(ros_topic_name("rq/a/bRequest"), None);

@@ -13,8 +13,8 @@ use super::error::WireError;
 use super::header::WireHeader;
 use super::{
     CameraInfo, CompressedImage, Image, Marker, MarkerArray, MarkerSet, MeshGeometryStamped,
-    MeshUpdateMessage, Message, NvbloxMesh, Odometry, PoseStamped, PoseWithCovarianceStamped,
-    ShapeMesh, TfMessage,
+    MeshUpdateMessage, Message, NvbloxMesh, Odometry, Path, PoseCorrections, PoseStamped,
+    PoseWithCovarianceStamped, ShapeMesh, TfMessage,
 };
 
 /// The part a topic plays.
@@ -39,6 +39,8 @@ pub enum TopicRole {
     Odometry,
     /// The mesh.
     Mesh,
+    /// Better poses of frames of the past.
+    Corrections,
 }
 
 impl TopicRole {
@@ -54,6 +56,7 @@ impl TopicRole {
             Self::Pose => "camera pose",
             Self::Odometry => "odometry",
             Self::Mesh => "mesh",
+            Self::Corrections => "pose corrections",
         }
     }
 }
@@ -75,6 +78,10 @@ pub enum MessageType {
     PoseWithCovarianceStamped,
     /// `nav_msgs/msg/Odometry`.
     Odometry,
+    /// `veneer/msg/PoseCorrections`.
+    PoseCorrections,
+    /// `nav_msgs/msg/Path`.
+    Path,
     /// `veneer/msg/MeshUpdate`.
     MeshUpdate,
     /// `mesh_msgs/msg/MeshGeometryStamped`.
@@ -90,7 +97,7 @@ pub enum MessageType {
 }
 
 impl MessageType {
-    const ALL: [Self; 13] = [
+    const ALL: [Self; 15] = [
         Self::Image,
         Self::CompressedImage,
         Self::CameraInfo,
@@ -98,6 +105,8 @@ impl MessageType {
         Self::PoseStamped,
         Self::PoseWithCovarianceStamped,
         Self::Odometry,
+        Self::PoseCorrections,
+        Self::Path,
         Self::MeshUpdate,
         Self::MeshGeometryStamped,
         Self::NvbloxMesh,
@@ -122,6 +131,8 @@ impl MessageType {
             Self::PoseStamped => PoseStamped::TYPE_NAME,
             Self::PoseWithCovarianceStamped => PoseWithCovarianceStamped::TYPE_NAME,
             Self::Odometry => Odometry::TYPE_NAME,
+            Self::PoseCorrections => PoseCorrections::TYPE_NAME,
+            Self::Path => Path::TYPE_NAME,
             Self::MeshUpdate => MeshUpdateMessage::TYPE_NAME,
             Self::MeshGeometryStamped => MeshGeometryStamped::TYPE_NAME,
             Self::NvbloxMesh => NvbloxMesh::TYPE_NAME,
@@ -141,6 +152,7 @@ impl MessageType {
             TopicRole::Transforms | TopicRole::StaticTransforms => self == Self::Tf,
             TopicRole::Pose => matches!(self, Self::PoseStamped | Self::PoseWithCovarianceStamped),
             TopicRole::Odometry => self == Self::Odometry,
+            TopicRole::Corrections => matches!(self, Self::PoseCorrections | Self::Path),
             TopicRole::Mesh => self >= Self::MeshUpdate,
         }
     }
@@ -269,6 +281,8 @@ impl EventDecoder {
                 pose_event(&message.header, message.pose)?
             }
             MessageType::Odometry => Event::Odometry(Odometry::decode(bytes)?.to_transform()?),
+            MessageType::PoseCorrections => PoseCorrections::decode(bytes)?.to_event()?,
+            MessageType::Path => Path::decode(bytes)?.to_event()?,
             MessageType::Tf => return self.transforms(received, bytes, out),
             MessageType::Marker => {
                 return self.marker_events(received, &[Marker::decode(bytes)?], out);

@@ -6,6 +6,7 @@ use super::geometry::WirePose;
 use super::header::{self, WireHeader};
 use super::pose_stamped::PoseStamped;
 use super::{Message, schema};
+use crate::ingest::{CorrectedBody, Event, PoseCorrection};
 
 /// `nav_msgs/Path`.
 #[derive(Clone, Debug, PartialEq)]
@@ -14,6 +15,33 @@ pub struct Path<'a> {
     pub header: WireHeader<'a>,
     /// The poses, each with its own stamp.
     pub poses: Vec<PoseStamped<'a>>,
+}
+
+impl Path<'_> {
+    /// What it says as corrections, each pose by its own stamp. The poses are in the path's frame, as
+    /// ROS has it, whatever their own headers say.
+    ///
+    /// # Errors
+    /// [`WireError::Frame`] for a pose that is none.
+    pub fn to_event(&self) -> Result<Event, WireError> {
+        let corrections = self.poses.iter().map(|stamped| {
+            let pose = stamped.pose.to_transform();
+            Ok(PoseCorrection {
+                stamp: stamped.header.stamp,
+                pose: pose.map_err(|error| WireError::Frame {
+                    field: "poses.pose".into(),
+                    error,
+                })?,
+            })
+        });
+        let corrections = corrections.collect::<Result<_, WireError>>()?;
+        let header = self.header.to_header();
+        Ok(Event::Corrections(
+            header,
+            CorrectedBody::PoseFrame,
+            corrections,
+        ))
+    }
 }
 
 const MIN_POSE_BYTES: usize = header::MIN_BYTES + WirePose::NUM_BYTES;

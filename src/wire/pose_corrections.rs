@@ -6,6 +6,7 @@ use super::geometry::WirePose;
 use super::header::{self, WireHeader};
 use super::{Message, schema};
 use crate::geom::Stamp;
+use crate::ingest::{self, CorrectedBody, Event};
 
 /// `veneer/PoseCorrection`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -23,6 +24,32 @@ pub struct PoseCorrections<'a> {
     pub header: WireHeader<'a>,
     /// In any order.
     pub corrections: Vec<PoseCorrection>,
+}
+
+impl PoseCorrections<'_> {
+    /// What it says, poses of the colour camera.
+    ///
+    /// # Errors
+    /// [`WireError::Frame`] for a pose that is none.
+    pub fn to_event(&self) -> Result<Event, WireError> {
+        let corrections = self.corrections.iter().map(|correction| {
+            let pose = correction.pose.to_transform();
+            Ok(ingest::PoseCorrection {
+                stamp: correction.stamp,
+                pose: pose.map_err(|error| WireError::Frame {
+                    field: "corrections.pose".into(),
+                    error,
+                })?,
+            })
+        });
+        let corrections = corrections.collect::<Result<_, WireError>>()?;
+        let header = self.header.to_header();
+        Ok(Event::Corrections(
+            header,
+            CorrectedBody::Camera,
+            corrections,
+        ))
+    }
 }
 
 /// Time and pose.

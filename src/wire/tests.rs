@@ -9,10 +9,11 @@ use super::header::WireHeader;
 use super::marker::{self, MarkerTail};
 use super::mesh_update::WireMeshBlock;
 use super::nvblox_mesh::NvbloxBlock;
+use super::pose_corrections::PoseCorrection;
 use super::tf_message::TransformStamped;
 use super::*;
 use crate::geom::{EncodedColor, EncodedDepth, Stamp};
-use crate::ingest::{Event, MeshUpdate};
+use crate::ingest::{self, CorrectedBody, Event, MeshUpdate};
 use crate::mesh::TriMesh;
 
 const HEADER: WireHeader<'static> = WireHeader {
@@ -72,6 +73,29 @@ fn odometry() -> Odometry<'static> {
         pose_covariance: std::array::from_fn(|i| i as f64),
         twist: [1.0, 2.0, 3.0, 4.0, 5.0, 6.0],
         twist_covariance: [0.5; 36],
+    }
+}
+
+fn pose_corrections() -> PoseCorrections<'static> {
+    PoseCorrections {
+        header: HEADER,
+        corrections: vec![PoseCorrection {
+            stamp: Stamp::from_ros(11, 1),
+            pose: POSE,
+        }],
+    }
+}
+
+fn path() -> Path<'static> {
+    Path {
+        header: HEADER,
+        poses: vec![PoseStamped {
+            header: WireHeader {
+                stamp: Stamp::from_ros(11, 2),
+                frame_id: "",
+            },
+            pose: POSE,
+        }],
     }
 }
 
@@ -161,6 +185,11 @@ fn samples(big_endian: bool) -> Vec<(MessageType, Vec<u8>)> {
             bytes(&with_covariance, big_endian),
         ),
         (MessageType::Odometry, bytes(&odometry(), big_endian)),
+        (
+            MessageType::PoseCorrections,
+            bytes(&pose_corrections(), big_endian),
+        ),
+        (MessageType::Path, bytes(&path(), big_endian)),
         (MessageType::MeshUpdate, bytes(&mesh_update(), big_endian)),
         (
             MessageType::MeshGeometryStamped,
@@ -184,6 +213,7 @@ fn role_of(message_type: MessageType) -> TopicRole {
         MessageType::Tf => TopicRole::Transforms,
         MessageType::PoseStamped | MessageType::PoseWithCovarianceStamped => TopicRole::Pose,
         MessageType::Odometry => TopicRole::Odometry,
+        MessageType::PoseCorrections | MessageType::Path => TopicRole::Corrections,
         _ => TopicRole::Mesh,
     }
 }
@@ -208,6 +238,23 @@ fn every_message_becomes_the_same_event_in_both_byte_orders() {
         );
         assert_eq!(from_little, events(message_type, &big), "{message_type:?}");
     }
+}
+
+#[test]
+fn corrections_and_paths_say_stamps_and_poses() {
+    let pose = POSE.to_transform().unwrap();
+    for (event, body, nanosec) in [
+        (pose_corrections().to_event(), CorrectedBody::Camera, 1),
+        (path().to_event(), CorrectedBody::PoseFrame, 2),
+    ] {
+        let stamp = Stamp::from_ros(11, nanosec);
+        let corrections = vec![ingest::PoseCorrection { stamp, pose }];
+        let expected = Event::Corrections(HEADER.to_header(), body, corrections);
+        assert_eq!(event.unwrap(), expected);
+    }
+    let mut bad = path();
+    bad.poses[0].pose.quaternion_xyzw = [0.0; 4];
+    assert!(bad.to_event().is_err());
 }
 
 #[test]

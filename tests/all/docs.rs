@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use veneer::config::{Config, tree};
+use veneer::config::{Config, listing};
 
 fn read(name: &str) -> String {
     std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(name)).unwrap()
@@ -10,7 +10,7 @@ fn read(name: &str) -> String {
 
 #[test]
 fn the_page_of_parameters_is_the_one_that_the_code_writes() {
-    let expected = tree::to_markdown(&mut Config::default());
+    let expected = listing::to_markdown(&mut Config::default());
     assert!(
         read("docs/parameters.md") == expected,
         "run: veneer params --markdown > docs/parameters.md"
@@ -59,5 +59,22 @@ fn links_between_pages_lead_somewhere() {
                 "{page} links to {target}, which is not there"
             );
         }
+    }
+}
+
+#[test]
+fn every_limit_is_in_the_table_of_limits() {
+    let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
+    let page = std::fs::read_to_string(root.join("docs/topics.md")).unwrap();
+    let table = page
+        .split("## Limits on what peers control")
+        .nth(1)
+        .unwrap();
+    let table = table.split("\n## ").next().unwrap();
+    let names = veneer::config::tree::PARAMETERS.iter().map(|row| row.name);
+    let mut limits = names.filter(|name| name.starts_with("limits.")).peekable();
+    assert!(limits.peek().is_some());
+    for name in limits {
+        assert!(table.contains(&format!("`{name}`")), "{name}");
     }
 }

@@ -1,5 +1,7 @@
 """Real ROS 2 peers (rclpy) for the live node's tests. Each command prints one JSON object a line.
 
+correct BAG      publishes the bag's poses as a path of corrections
+watch            says what the diagnostics hold of memory
 play BAG         publishes a bag's messages, byte for byte, at their pace; the mesh as shape_msgs/Mesh
 camera           720p colour and depth at 30 Hz
 listen TOPIC=TYPE …  receives until stdin closes, then says how many and how large
@@ -146,9 +148,11 @@ def play(args):
     time.sleep(0.5)
     sent = dict.fromkeys(publishers, 0)
     begun = time.monotonic()
-    first = messages[0][0] if messages else 0
+    first = messages[args.start][0] if args.start < len(messages) else 0
     last_clock = None
-    for stamp, topic, data in messages:
+    for at, (stamp, topic, data) in enumerate(messages):
+        if at < args.start:
+            continue
         due = begun + (stamp - first) * 1e-9 / args.rate
         while (left := due - time.monotonic()) > 0:
             time.sleep(min(left, 0.02))
@@ -160,6 +164,8 @@ def play(args):
             time.sleep(0.002)
         publishers[topic].publish(data)
         sent[topic] += 1
+        if args.aloud:
+            say(sent=sent, at=at + 1)
     say(sent=sent, seconds=time.monotonic() - begun)
     # Reliable messages may still have to be sent again.
     sys.stdin.read()
@@ -256,16 +262,73 @@ def camera(args):
     sys.stdin.read()
 
 
+def correct(args):
+    """Publishes the poses of a bag as a path, shifted along x, as a loop closer does."""
+    from geometry_msgs.msg import PoseStamped
+    from nav_msgs.msg import Path
+    from rclpy.serialization import deserialize_message
+
+    node = rclpy.create_node("closer")
+    publisher = node.create_publisher(Path, "/pose_corrections", qos(True, 1, latched=True))
+    path = Path()
+    path.header.frame_id = "map"
+    for _, topic, _, data in read_bag(args.bag):
+        if topic == "/camera/pose":
+            pose = deserialize_message(data, PoseStamped)
+            pose.pose.position.x += args.shift
+            path.poses.append(pose)
+    deadline = time.monotonic() + args.wait
+    while publisher.get_subscription_count() == 0 and time.monotonic() < deadline:
+        rclpy.spin_once(node, timeout_sec=0.05)
+    say(matched=publisher.get_subscription_count() > 0)
+    publisher.publish(path)
+    say(poses=len(path.poses))
+    sys.stdin.read()
+
+
+def watch(args):
+    """What the node says of its memory, each time it does, and when it said the first."""
+    from diagnostic_msgs.msg import DiagnosticArray
+
+    node = rclpy.create_node("watcher")
+    begun = time.monotonic()
+
+    def take(message):
+        values = {}
+        for status in message.status:
+            part = status.name.split(": ")[1]
+            values.update({f"{part} {pair.key}": pair.value for pair in status.values})
+        number = lambda key: int(values.get(key, 0))
+        say(
+            wall=time.time(),
+            seconds=time.monotonic() - begun,
+            resident=number("process memory_bytes"),
+            keyframes=number("keyframes bytes"),
+            decoded=number("process decoded_image_bytes"),
+            queued=number("process queue_bytes"),
+        )
+
+    node.create_subscription(DiagnosticArray, "/diagnostics", take, qos(True, 100))
+    stop = threading.Event()
+    threading.Thread(target=lambda: (sys.stdin.read(), stop.set()), daemon=True).start()
+    say(watching=True)
+    while not stop.is_set():
+        rclpy.spin_once(node, timeout_sec=0.05)
+
+
 def listen(args):
     node = rclpy.create_node("listener")
+    begun = time.monotonic()
     counts = {}
 
     def note(topic):
-        counts[topic] = {"num": 0, "max_bytes": 0, "bytes": 0}
+        counts[topic] = {"num": 0, "max_bytes": 0, "bytes": 0, "first": None, "last": None}
 
         def take(data):
             entry = counts[topic]
             entry["num"] += 1
+            entry["last"] = time.monotonic() - begun
+            entry["first"] = entry["first"] or entry["last"]
             entry["max_bytes"] = max(entry["max_bytes"], len(data))
             entry["bytes"] += len(data)
             if args.dump:
@@ -419,6 +482,14 @@ def main():
     one.add_argument("--clock", action="store_true")
     one.add_argument("--wait", type=float, default=15.0)
     one.add_argument("--optional", nargs="*", default=[])
+    one.add_argument("--from", dest="start", type=int, default=0)
+    one.add_argument("--aloud", action="store_true")
+    one = commands.add_parser("correct")
+    one.add_argument("bag")
+    one.add_argument("--shift", type=float, default=0.0)
+    one.add_argument("--wait", type=float, default=15.0)
+    one = commands.add_parser("watch")
+    one.add_argument("--wait", type=float, default=15.0)
     one = commands.add_parser("camera")
     one.add_argument("--rate", type=float, default=30.0)
     one.add_argument("--seconds", type=float, default=60.0)
@@ -459,6 +530,8 @@ def main():
     rclpy.init()
     {
         "play": play,
+        "correct": correct,
+        "watch": watch,
         "camera": camera,
         "listen": listen,
         "call": call,

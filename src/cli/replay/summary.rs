@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use crate::bag::BagReader;
-use crate::config::{Config, tree};
+use crate::config::{Config, listing};
 use crate::ingest::EventSource;
 use crate::keyframe::Keyframe;
 use crate::pipeline::{RefineReport, Run};
@@ -44,7 +44,7 @@ pub(super) fn of_run(run: &Run, path: &Path, bag: &BagReader, config: &Config) -
         keyframes: keyframe_rows(&run.keyframes),
         refine: refine_summary(&run.refine),
         texsmooth: run.texsmooth.as_ref().map(smooth_summary),
-        parameters: tree::to_json(&mut config.clone()),
+        parameters: listing::to_json(&mut config.clone()),
         ..Report::default()
     }
 }

@@ -3,11 +3,12 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::geom::{ColorEncoding, DepthEncoding, PinholeCamera};
+use crate::ingest::event::CorrectedBody;
 use crate::ingest::params::PoseSource;
 use crate::ingest::source::Rejection;
 
 const MS: i64 = 1_000_000;
-const TOPICS: [&str; 9] = [
+const TOPICS: [&str; 10] = [
     "color",
     "depth",
     "color_info",
@@ -17,6 +18,7 @@ const TOPICS: [&str; 9] = [
     "pose",
     "odom",
     "mesh",
+    "corrections",
 ];
 
 /// A stream that is written event by event, stamps in milliseconds.
@@ -128,9 +130,28 @@ impl Stream {
                         .as_ref()
                         .map(|d| d.depth_from_color.translation().x),
                 )),
-                Assembled::Mesh(_) => None,
+                Assembled::Mesh(_) | Assembled::Corrections(_) => None,
             })
             .collect()
+    }
+
+    fn correct(&mut self, frame: &str, body: CorrectedBody, poses: &[(i64, f64)]) -> &mut Self {
+        let corrections = poses.iter().map(|&(ms, x)| PoseCorrection {
+            stamp: Stamp::from_nanos(ms * MS),
+            pose: at(x),
+        });
+        let event = Event::Corrections(header(frame, 0), body, corrections.collect());
+        self.push(0, "corrections", event)
+    }
+
+    /// Stamp in milliseconds and x of every correction that was given out.
+    fn corrections(&self) -> Vec<(i64, f64)> {
+        let given = self.out.iter().filter_map(|out| match out {
+            Assembled::Corrections(corrections) => Some(corrections),
+            _ => None,
+        });
+        let pair = |c: &PoseCorrection| (c.stamp.as_nanos() / MS, c.pose.translation().x);
+        given.flatten().map(pair).collect()
     }
 
     fn finish(&mut self) -> &IngestReport {
@@ -254,7 +275,7 @@ fn without_a_mesh_the_world_is_the_root_above_the_camera() {
     assert_eq!(stream.frames()[0].1, 6.5);
     let mesh = stream.out.iter().find_map(|out| match out {
         Assembled::Mesh(mesh) => Some(mesh.clone()),
-        Assembled::Frame(_) => None,
+        _ => None,
     });
     assert_eq!(mesh.unwrap().positions_m()[0].x, 5.0);
 }
@@ -369,17 +390,78 @@ fn growing_meshes_are_given_out_whole() {
         .iter()
         .map(|out| match out {
             Assembled::Mesh(mesh) => mesh.num_triangles(),
-            Assembled::Frame(_) => 0,
+            _ => 0,
         })
         .collect();
     assert_eq!(sizes, [1, 2, 3]);
+}
+
+#[test]
+fn corrections_are_given_out_in_the_world_and_for_the_camera() {
+    let mut stream = Stream::new(&IngestParams {
+        pose_frame_id: Some("base".to_owned()),
+        ..IngestParams::default()
+    });
+    stream.mesh("map", 0).infos(0).color(0);
+    stream
+        .tf_static("map", "loops", 10.0)
+        .tf_static("base", "cam", 0.5);
+    stream.correct("map", CorrectedBody::Camera, &[(5, 1.0), (9, 2.0)]);
+    stream.correct("loops", CorrectedBody::Camera, &[(6, 1.0)]);
+    stream.correct("loops", CorrectedBody::PoseFrame, &[(7, 1.0)]);
+    assert_eq!(
+        stream.corrections(),
+        [(5, 1.0), (9, 2.0), (6, 11.0), (7, 11.5)]
+    );
+    stream.correct("nowhere", CorrectedBody::Camera, &[(8, 1.0)]);
+    assert_eq!(stream.refused("corrections"), ["no pose: frame unknown"]);
+    assert_eq!(stream.corrections().len(), 4);
+    let report = &stream.assembler.report().topics["corrections"];
+    assert_eq!((report.num_received, report.num_used), (4, 3));
+}
+
+#[test]
+fn what_is_larger_than_it_may_be_is_refused_and_the_rest_goes_on() {
+    let mut params = IngestParams::default();
+    params.limits.image_px = 15;
+    params.limits.mesh_triangles = 1;
+    params.limits.corrections = 1;
+    let mut stream = Stream::new(&params);
+    stream.mesh("map", 0).infos(0).color(0).depth(0, "cam");
+    let blocks = (0..2).map(|key| (super::super::event::MeshBlockKey([key, 0, 0]), triangle()));
+    let update = MeshUpdate::Blocks {
+        clear: false,
+        blocks: blocks.collect(),
+    };
+    let event = Event::Mesh(header("map", 1), update, SoupReport::default());
+    stream.push(1, "mesh", event);
+    stream.correct("map", CorrectedBody::Camera, &[(5, 1.0), (9, 2.0)]);
+    assert_eq!(
+        stream.refused("color"),
+        ["image of #x# pixels, limits.image_px is #"]
+    );
+    assert_eq!(stream.refused("depth").len(), 1);
+    assert_eq!(
+        stream.refused("mesh"),
+        ["the mesh would have # triangles, limits.mesh_triangles is #"]
+    );
+    assert_eq!(
+        stream.refused("corrections"),
+        ["corrections of # poses, limits.corrections is #"]
+    );
+    let meshes = stream
+        .out
+        .iter()
+        .filter(|out| matches!(out, Assembled::Mesh(_)));
+    assert_eq!(meshes.count(), 1);
+    stream.finish();
 }
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
     #[test]
     fn any_stream_adds_up(
-        steps in prop::collection::vec((0u8..9, -200i64..400, 0u8..4), 0..150),
+        steps in prop::collection::vec((0u8..10, -200i64..400, 0u8..4), 0..150),
         approx_sync in any::<bool>(),
         pose_queue_size in 0usize..5,
     ) {
@@ -402,6 +484,7 @@ proptest! {
                 5 => stream.tf_static("odom", name, 1.0),
                 6 => stream.push(now, "pose", Event::Pose(header(name, now), at(1.0))),
                 7 => stream.push(now, "odom", Event::Odometry(edge("odom", name, now, 0.0))),
+                8 => stream.correct(name, CorrectedBody::PoseFrame, &[(now, 1.0)]),
                 _ => stream.mesh(name, now),
             };
             let report = stream.assembler.report();

@@ -248,3 +248,28 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn frames_and_transforms_are_bounded() {
+    let mut params = IngestParams::default();
+    params.limits.tf_frames = 3;
+    params.limits.tf_samples = 4;
+    let mut tree = TransformTree::new(&params);
+    for i in 0..3 {
+        let child = format!("frame {i}");
+        tree.insert(&transform("map", &child, 0, pose(0.0, 0.0)), false)
+            .unwrap();
+    }
+    let further = transform("map", "frame 3", 0, pose(0.0, 0.0));
+    for is_static in [true, false] {
+        let refused = tree.insert(&further, is_static);
+        assert_eq!(refused, Err(TransformRefusal::TooManyFrames));
+    }
+    for i in 1..10 {
+        tree.insert(&transform("map", "frame 0", i, pose(0.0, 0.0)), false)
+            .unwrap();
+    }
+    // Of the stamps 0 to 9 the last four are left.
+    assert!(tree.lookup("map", "frame 0", ms(6), 0.0).is_ok());
+    assert!(tree.lookup("map", "frame 0", ms(5), 0.0).is_err());
+}

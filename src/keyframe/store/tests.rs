@@ -384,3 +384,48 @@ fn a_smaller_budget_keeps_less_of_what_is_restored() {
     // 8 views of 56° can show all of the ring.
     assert!(largest_gap_rad(&after).to_degrees() < 75.0);
 }
+
+/// Counts at every sample of every view, which decide what goes when the budget is full.
+fn overlaps(store: &KeyframeStore) -> Vec<[u32; NUM_SAMPLES]> {
+    store.stored.values().map(|s| s.num_shown_by).collect()
+}
+
+#[test]
+fn a_store_of_corrected_frames_is_that_of_frames_that_were_right_from_the_start() {
+    let angles: Vec<f64> = (0..12).map(|i| f64::from(i) * 0.3).collect();
+    let off = |i: usize| if i % 3 == 1 { 0.07 } else { 0.0 };
+    let stamped = |i: usize, angle| frame(i64::try_from(i).unwrap() * 10, angle, image(1, 0));
+    let mut store = KeyframeStore::new(&KeyframeParams::default());
+    let mut right = KeyframeStore::new(&KeyframeParams::default());
+    let mut poses = Vec::new();
+    for (i, angle) in angles.iter().enumerate() {
+        store.offer(stamped(i, angle + off(i)));
+        let frame = stamped(i, *angle);
+        // Floating point took the stamp a little off.
+        let stamp = Stamp::from_nanos(frame.stamp.as_nanos() + 900_000);
+        poses.push((stamp, frame.world_from_camera));
+        right.offer(frame);
+    }
+    assert_eq!((store.len(), right.len()), (12, 12));
+    assert_eq!(store.correct_poses(&poses), 4);
+    let of_nobody = (Stamp::from_nanos(-5_000_000), RigidTransform::identity());
+    assert_eq!(store.correct_poses(&[of_nobody]), 0);
+    assert!(store.keyframes().eq(right.keyframes()));
+    assert_eq!(overlaps(&store), overlaps(&right));
+    let report = store.report();
+    assert_eq!(report.num_poses_corrected, 4);
+    assert_eq!(report.num_corrections_unmatched, 1);
+}
+
+#[test]
+fn of_several_poses_for_a_keyframe_the_last_holds() {
+    let mut store = KeyframeStore::new(&KeyframeParams::default());
+    store.offer(frame(0, 0.0, image(1, 0)));
+    let stamp = Stamp::from_nanos(0);
+    let [first, last] = [0.1, 0.2].map(|angle| frame(0, angle, image(1, 0)).world_from_camera);
+    assert_eq!(store.correct_poses(&[(stamp, first), (stamp, last)]), 1);
+    assert_eq!(store.correct_poses(&[(stamp, last)]), 0);
+    let keyframe = store.keyframes().next().unwrap();
+    assert_eq!(keyframe.world_from_camera, last);
+    assert_eq!(keyframe.id, KeyframeId(0));
+}

@@ -69,7 +69,9 @@ impl ReadBack {
                 }
             }
             Event::Pose(header, _) => assert_eq!(&*header.frame_id, "map"),
-            Event::Odometry(_) => panic!("an import writes no odometry"),
+            Event::Odometry(_) | Event::Corrections(..) => {
+                panic!("an import writes neither odometry nor corrections")
+            }
             Event::Mesh(header, update, soup) => {
                 assert_eq!(&*header.frame_id, "map");
                 assert_eq!(soup, veneer::mesh::SoupReport::default());

@@ -1,5 +1,5 @@
-//! A peer in Rust for what no package on PyPI has: transforms and meshes of the mesh packages.
-//! Sends a bag's messages byte for byte.
+//! A peer in Rust for what no package on PyPI has: transforms, and the messages and services of the
+//! mesh packages. Sends and receives bytes.
 
 use std::convert::Infallible;
 use std::net::Ipv4Addr;
@@ -27,6 +27,56 @@ impl no_key::SerializerAdapter<Vec<u8>> for Raw {
     }
 }
 
+impl no_key::DeserializerAdapter<Vec<u8>> for Raw {
+    type Error = Infallible;
+    type Decoded = Vec<u8>;
+
+    fn supported_encodings() -> &'static [RepresentationIdentifier] {
+        &[RepresentationIdentifier::CDR_LE]
+    }
+
+    fn transform_decoded(decoded: Vec<u8>) -> Vec<u8> {
+        decoded
+    }
+}
+
+#[derive(Clone)]
+pub(crate) struct Bytewise;
+
+impl no_key::DefaultDecoder<Vec<u8>> for Raw {
+    type Decoder = Bytewise;
+    const DECODER: Bytewise = Bytewise;
+}
+
+impl no_key::Decode<'_, Vec<u8>> for Bytewise {
+    type Error = Infallible;
+
+    fn decode_bytes(self, body: &[u8], _: RepresentationIdentifier) -> Result<Vec<u8>, Infallible> {
+        Ok([&[0, 1, 0, 0], body].concat())
+    }
+}
+
+/// A client of one service.
+pub(crate) struct RawClient {
+    requests: no_key::DataWriter<Vec<u8>, Raw>,
+    answers: no_key::DataReader<Vec<u8>, Raw>,
+}
+
+impl RawClient {
+    /// Sends a request; the answer, where one comes within `wait`.
+    pub(crate) fn call(&mut self, request: Vec<u8>, wait: Duration) -> Option<Vec<u8>> {
+        self.requests.write(request, None).unwrap();
+        let deadline = Instant::now() + wait;
+        while Instant::now() < deadline {
+            if let Some(sample) = self.answers.take_next_sample().unwrap() {
+                return Some(sample.into_value());
+            }
+            std::thread::sleep(Duration::from_millis(10));
+        }
+        None
+    }
+}
+
 pub(crate) struct RawPeer {
     participant: DomainParticipant,
     writers: Vec<no_key::DataWriter<Vec<u8>, Raw>>,
@@ -34,12 +84,67 @@ pub(crate) struct RawPeer {
 
 impl RawPeer {
     pub(crate) fn new(domain: u16) -> Self {
-        let builder = DomainParticipantBuilder::new(domain);
+        Self::of(DomainParticipantBuilder::new(domain))
+    }
+
+    /// With the keys of an enclave's folder.
+    #[cfg(feature = "security")]
+    pub(crate) fn secured(domain: u16, enclave: &Path) -> Self {
+        let files = rustdds::DomainParticipantSecurityConfigFiles::with_ros_default_names(
+            enclave,
+            String::new(),
+        );
+        Self::of(DomainParticipantBuilder::new(domain).builtin_security(files))
+    }
+
+    fn of(builder: DomainParticipantBuilder) -> Self {
         let builder = builder.with_only_networks([Ipv4Addr::LOCALHOST]);
         Self {
             participant: builder.build().unwrap(),
             writers: Vec::new(),
         }
+    }
+
+    /// A client of `service`, of the type `package/srv/Name`, once its server is there.
+    pub(crate) fn client(&self, service: &str, type_name: &str) -> RawClient {
+        let (package, name) = type_name.split_once("/srv/").unwrap();
+        let qos = QosPolicyBuilder::new()
+            .reliable(rustdds::Duration::from_millis(500))
+            .history(History::KeepLast { depth: 10 })
+            .build();
+        let topic = |dds_name: String, part: &str| {
+            let type_name = format!("{package}::srv::dds_::{name}_{part}_");
+            let made = self
+                .participant
+                .create_topic(dds_name, type_name, &qos, TopicKind::NoKey);
+            made.unwrap()
+        };
+        let requests = topic(format!("rq{service}Request"), "Request");
+        let answers = topic(format!("rr{service}Reply"), "Response");
+        let publisher = self.participant.create_publisher(&qos).unwrap();
+        let subscriber = self.participant.create_subscriber(&qos).unwrap();
+        let client = RawClient {
+            requests: publisher
+                .create_datawriter_no_key(&requests, Some(qos.clone()))
+                .unwrap(),
+            answers: subscriber
+                .create_datareader_no_key(&answers, Some(qos.clone()))
+                .unwrap(),
+        };
+        let deadline = Instant::now() + Duration::from_secs(15);
+        let is_served = || {
+            let readers = self.participant.discovered_readers();
+            let mut topics = readers
+                .iter()
+                .map(|r| r.subscription_topic_data.topic_name());
+            topics.any(|name| *name == format!("rq{service}Request"))
+        };
+        while !is_served() {
+            assert!(Instant::now() < deadline, "nobody serves {service}");
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        std::thread::sleep(Duration::from_millis(300));
+        client
     }
 
     /// Sends all messages of `bag` on `topic`, reliable and latched, once somebody listens to

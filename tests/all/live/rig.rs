@@ -12,28 +12,26 @@ use serde_json::Value;
 
 use crate::{interfaces, python};
 
-/// What rclpy is made of, and what reads bags.
-const PACKAGES: [&str; 16] = [
-    "ros-jazzy-rclpy",
-    "ros-jazzy-rmw-fastrtps-cpp",
-    "ros-jazzy-sensor-msgs",
-    "ros-jazzy-visualization-msgs",
-    "ros-jazzy-std-srvs",
-    "ros-jazzy-nav-msgs",
-    "ros-jazzy-shape-msgs",
-    "ros-jazzy-geometry-msgs",
-    "ros-jazzy-diagnostic-msgs",
-    "ros-jazzy-lifecycle-msgs",
-    "ros-jazzy-rosgraph-msgs",
-    "ros-jazzy-rcl-interfaces",
-    "numpy",
-    "mcap",
-    "mcap-ros2-support==0.6.0",
-    "lz4",
+/// What rclpy is made of, without the distribution's prefix.
+const ROS_PACKAGES: [&str; 12] = [
+    "rclpy",
+    "rmw-fastrtps-cpp",
+    "sensor-msgs",
+    "visualization-msgs",
+    "std-srvs",
+    "nav-msgs",
+    "shape-msgs",
+    "geometry-msgs",
+    "diagnostic-msgs",
+    "lifecycle-msgs",
+    "rosgraph-msgs",
+    "rcl-interfaces",
 ];
+/// What reads bags.
+const BAG_PACKAGES: [&str; 4] = ["numpy", "mcap", "mcap-ros2-support==0.6.0", "lz4"];
 
 /// Tests of several processes run at once; each test takes a domain that others hardly take.
-fn free_domain() -> u16 {
+pub(crate) fn free_domain() -> u16 {
     static NEXT: AtomicU32 = AtomicU32::new(0);
     let number = std::process::id() * 7 + NEXT.fetch_add(1, Ordering::Relaxed);
     u16::try_from(100 + number % 130).unwrap()
@@ -48,10 +46,18 @@ pub(crate) struct Rig {
 }
 
 impl Rig {
-    /// `None`, said aloud, where pip cannot reach the packages.
+    /// With rclpy of Jazzy.
     pub(crate) fn new() -> Option<Self> {
+        Self::of("jazzy")
+    }
+
+    /// With rclpy of a distribution; `None`, said aloud, where pip cannot reach the packages.
+    pub(crate) fn of(distribution: &str) -> Option<Self> {
+        let ros = ROS_PACKAGES.map(|name| format!("ros-{distribution}-{name}"));
+        let packages = ros.iter().map(String::as_str).chain(BAG_PACKAGES);
+        let packages: Vec<&str> = packages.collect();
         Some(Self {
-            python: python::venv("jazzy-live", &PACKAGES)?,
+            python: python::venv(&format!("{distribution}-live"), &packages)?,
             environment: Vec::new(),
             domain: free_domain(),
         })
@@ -68,40 +74,32 @@ impl Rig {
         })
     }
 
-    fn with_environment(&self, command: &mut Command) {
-        command
-            .env("ROS_DOMAIN_ID", self.domain.to_string())
-            .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-            .env_remove("ROS_LOCALHOST_ONLY")
-            .env_remove("ROS_STATIC_PEERS");
-    }
-
-    /// `veneer node --ros-args ARGS…`; its log goes to `dir`.
+    /// `veneer node --ros-args ARGS…` in this domain; its log goes to `dir`.
     pub(crate) fn node(&self, dir: &Path, args: &[&str]) -> LiveNode {
-        let log = dir.join("node.log");
-        let mut command = Command::new(env!("CARGO_BIN_EXE_veneer"));
-        self.with_environment(&mut command);
-        command
-            .args(["node", "--ros-args"])
-            .args(args)
-            .current_dir(dir)
-            .stdin(Stdio::null())
-            .stdout(Stdio::null())
-            .stderr(File::create(&log).unwrap());
-        LiveNode {
-            child: Some(command.spawn().unwrap()),
-            log,
-        }
+        node_in(self.domain, dir, args, &[])
     }
 
     /// A peer of `live_peer.py`.
     pub(crate) fn peer(&self, args: &[&str]) -> Peer {
-        let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/all/live_peer.py");
-        let mut command = Command::new(&self.python);
-        self.with_environment(&mut command);
+        let environment = self.environment.iter();
+        let environment: Vec<_> = environment.map(|(n, value)| (*n, value.as_str())).collect();
+        let script = Path::new("tests/all/live_peer.py");
+        self.other_peer(&self.python, script, args, &environment)
+    }
+
+    /// A peer of another script, below the checkout, and interpreter.
+    pub(crate) fn other_peer(
+        &self,
+        python: &Path,
+        script: &Path,
+        args: &[&str],
+        environment: &[(&str, &str)],
+    ) -> Peer {
+        let mut command = Command::new(python);
+        keep_to(self.domain, &mut command);
         let mut child = command
-            .envs(self.environment.iter().map(|(name, value)| (name, value)))
-            .arg(script)
+            .envs(environment.iter().copied())
+            .arg(Path::new(env!("CARGO_MANIFEST_DIR")).join(script))
             .args(args)
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
@@ -141,6 +139,39 @@ impl Rig {
         ];
         let said = self.peer(&args).next();
         Diagnostics(said["messages"][0]["status"].clone())
+    }
+}
+
+/// Keeps a process to a domain on this host.
+fn keep_to(domain: u16, command: &mut Command) {
+    command
+        .env("ROS_DOMAIN_ID", domain.to_string())
+        .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        .env_remove("ROS_LOCALHOST_ONLY")
+        .env_remove("ROS_STATIC_PEERS");
+}
+
+/// `veneer node --ros-args ARGS…`; its log goes to `dir`.
+pub(crate) fn node_in(
+    domain: u16,
+    dir: &Path,
+    args: &[&str],
+    environment: &[(&str, String)],
+) -> LiveNode {
+    let log = dir.join("node.log");
+    let mut command = Command::new(env!("CARGO_BIN_EXE_veneer"));
+    keep_to(domain, &mut command);
+    command
+        .envs(environment.iter().map(|(name, value)| (name, value)))
+        .args(["node", "--ros-args"])
+        .args(args)
+        .current_dir(dir)
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .stderr(File::create(&log).unwrap());
+    LiveNode {
+        child: Some(command.spawn().unwrap()),
+        log,
     }
 }
 

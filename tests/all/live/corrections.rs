@@ -1,0 +1,130 @@
+//! Late poses of past frames, live and from a bag.
+
+use std::path::Path;
+
+use serde_json::Value;
+
+use super::rig::{Rig, free_port, http_get};
+use super::{POSE_ARGS, is_settled, wait_until};
+use crate::command::{small_tabletop, veneer_ok};
+
+/// Millimetres that every corrected pose is shifted by.
+const SHIFT_M: f64 = 0.05;
+
+fn scan(port: u16) -> Vec<u8> {
+    http_get(port, "/scan.glb").1
+}
+
+#[test]
+fn a_loop_closure_repaints_a_live_scan_and_back_again() {
+    let Some(rig) = Rig::new() else { return };
+    let dir = tempfile::tempdir().unwrap();
+    let bag = small_tabletop(dir.path(), &[]);
+    let port = free_port();
+    let http = format!("http.port:={port}");
+    let mut node = rig.node(dir.path(), &[&POSE_ARGS[..], &["-p", &http]].concat());
+    let mut player = rig.peer(&["play", bag.to_str().unwrap()]);
+    assert_eq!(player.next()["matched"], true);
+    player.next();
+    let seen = wait_until(&rig, "painted", is_settled);
+    let num_keyframes = seen.number("keyframes", "keyframes");
+    let before = scan(port);
+    let correct = |shift_m: f64, num_corrected: u64| {
+        let shift = shift_m.to_string();
+        let args = ["correct", bag.to_str().unwrap(), "--shift", &shift];
+        let mut closer = rig.peer(&args);
+        assert_eq!(closer.next()["matched"], true);
+        let said = closer.next();
+        assert!(said["poses"].as_u64().unwrap() >= num_keyframes, "{said}");
+        wait_until(&rig, "corrected", |seen| {
+            is_settled(seen) && seen.number("keyframes", "poses corrected") == num_corrected
+        })
+    };
+    correct(SHIFT_M, num_keyframes);
+    let shifted = scan(port);
+    assert!(shifted != before, "the poses change nothing");
+    let seen = correct(0.0, 2 * num_keyframes);
+    assert!(
+        scan(port) == before,
+        "the old poses do not give the old scan"
+    );
+    assert_eq!(seen.number("keyframes", "keyframes"), num_keyframes);
+    assert!(node.is_running());
+}
+
+/// `bag` with a path on `/loop` at its end: each pose of the bag, shifted.
+fn with_path(bag: &Path, shift_m: f64) -> std::path::PathBuf {
+    use veneer::wire::header::WireHeader;
+    use veneer::wire::{Message, Path as WirePath, PoseStamped};
+
+    let bytes = std::fs::read(bag).unwrap();
+    let out = bag.with_file_name(format!("path_{shift_m}.mcap"));
+    let file = std::io::BufWriter::new(std::fs::File::create(&out).unwrap());
+    let mut writer = mcap::Writer::new(file).unwrap();
+    let mut poses = Vec::new();
+    let mut last = 0;
+    for message in mcap::MessageStream::new(&bytes).unwrap() {
+        let message = message.unwrap();
+        last = last.max(message.log_time);
+        if message.channel.topic == "/camera/pose" {
+            poses.push(message.data.to_vec());
+        }
+        writer.write(&message).unwrap();
+    }
+    let poses = poses.iter().map(|bytes| {
+        let mut pose = PoseStamped::decode(bytes).unwrap();
+        pose.pose.position_m[0] += shift_m;
+        pose
+    });
+    let path = WirePath {
+        header: WireHeader {
+            stamp: veneer::geom::Stamp::default(),
+            frame_id: "map",
+        },
+        poses: poses.collect(),
+    };
+    let schema = writer
+        .add_schema(WirePath::TYPE_NAME, "ros2msg", WirePath::SCHEMA.as_bytes())
+        .unwrap();
+    let channel = writer
+        .add_channel(schema, "/loop", "cdr", &std::collections::BTreeMap::new())
+        .unwrap();
+    let header = mcap::records::MessageHeader {
+        channel_id: channel,
+        sequence: 0,
+        log_time: last + 1,
+        publish_time: last + 1,
+    };
+    writer
+        .write_to_known_channel(&header, &path.encode())
+        .unwrap();
+    writer.finish().unwrap();
+    out
+}
+
+fn replayed(bag: &Path, dir: &Path, args: &[&str]) -> (Vec<u8>, Value) {
+    let out = dir.join(format!("out_{}", args.len()));
+    let bag = bag.to_str().unwrap();
+    let out_text = out.to_str().unwrap();
+    let base = ["--quiet", "replay", bag, "--out", out_text];
+    veneer_ok(&[&base[..], args].concat());
+    let report = std::fs::read(out.join("report.json")).unwrap();
+    let report = serde_json::from_slice(&report).unwrap();
+    (std::fs::read(out.join("scan.glb")).unwrap(), report)
+}
+
+#[test]
+fn a_path_in_a_bag_corrects_the_keyframes_where_it_is_named() {
+    let dir = tempfile::tempdir().unwrap();
+    let bag = small_tabletop(dir.path(), &[]);
+    let named = ["--remap", "pose_corrections:=/loop"];
+    let (plain, _) = replayed(&bag, dir.path(), &["-p", "eval.held_out_views:=0"]);
+    let args = [&["-p", "eval.held_out_views:=0"], &named[..]].concat();
+    let same = with_path(&bag, 0.0);
+    assert!(replayed(&same, dir.path(), &args).0 == plain);
+    let shifted = with_path(&bag, SHIFT_M);
+    assert!(replayed(&shifted, dir.path(), &args).0 != plain);
+    // A path may be any path: unless it is named, nothing is made of it.
+    let (unnamed, _) = replayed(&shifted, dir.path(), &["-p", "eval.held_out_views:=0"]);
+    assert!(unnamed == plain);
+}

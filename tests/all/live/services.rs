@@ -1,0 +1,316 @@
+//! Parameters, services and lifecycle of the node, as rclpy finds and calls them.
+
+use std::path::Path;
+use std::time::Duration;
+
+use serde_json::Value;
+
+use super::raw_peer::RawPeer;
+use super::rig::{LiveNode, Rig, free_port, http_get};
+use super::{POSE_ARGS, is_settled, wait_until};
+use crate::command::small_tabletop;
+
+const NODE: [&str; 4] = ["-r", "__ns:=/robot", "-r", "__node:=painter"];
+const NAME: &str = "/robot/painter";
+
+fn start(rig: &Rig, dir: &Path, args: &[&str]) -> LiveNode {
+    rig.node(dir, &[&NODE, args].concat())
+}
+
+/// Calls a service below the node's name, of the type `package/srv/Name`.
+fn call(rig: &Rig, name: &str, type_name: &str, request: &str) -> Value {
+    rig.call(&format!("{NAME}/{name}"), type_name, request)
+}
+
+fn trigger(rig: &Rig, name: &str) -> Value {
+    call(rig, name, "std_srvs/srv/Trigger", "{}")
+}
+
+#[test]
+fn a_manager_drives_the_lifecycle() {
+    let Some(rig) = Rig::new() else { return };
+    let dir = tempfile::tempdir().unwrap();
+    let mut node = start(&rig, dir.path(), &["-p", "autostart:=false"]);
+    let state = || {
+        let answer = call(&rig, "get_state", "lifecycle_msgs/srv/GetState", "{}");
+        answer["current_state"]["label"].clone()
+    };
+    assert_eq!(state(), "unconfigured");
+    let type_name = "lifecycle_msgs/srv/GetAvailableStates";
+    let states = call(&rig, "get_available_states", type_name, "{}");
+    assert_eq!(states["available_states"].as_array().unwrap().len(), 4);
+    for (id, success, label) in [
+        (3, false, "unconfigured"),
+        (1, true, "inactive"),
+        (3, true, "active"),
+    ] {
+        let request = format!(r#"{{"transition": {{"id": {id}}}}}"#);
+        let type_name = "lifecycle_msgs/srv/ChangeState";
+        let changed = call(&rig, "change_state", type_name, &request);
+        assert_eq!(changed["success"], success);
+        assert_eq!(state(), label);
+    }
+    let type_name = "lifecycle_msgs/srv/GetAvailableTransitions";
+    let transitions = call(&rig, "get_available_transitions", type_name, "{}");
+    let first = &transitions["available_transitions"][0]["transition"];
+    assert_eq!(first["label"], "deactivate");
+    assert!(node.is_running());
+}
+
+#[test]
+fn parameters_are_listed_whole_described_and_set() {
+    let Some(rig) = Rig::new() else { return };
+    let dir = tempfile::tempdir().unwrap();
+    let mut node = start(&rig, dir.path(), &[]);
+    let of = |name: &str, type_name: &str, request: &str| {
+        call(
+            &rig,
+            name,
+            &format!("rcl_interfaces/srv/{type_name}"),
+            request,
+        )
+    };
+    let all = of("list_parameters", "ListParameters", "{}");
+    let all = all["result"]["names"].as_array().unwrap();
+    let expected = veneer::config::tree::PARAMETERS.iter().map(|row| row.name);
+    assert!(all.iter().map(|name| name.as_str().unwrap()).eq(expected));
+    let everything = serde_json::json!({ "names": all }).to_string();
+    let values = of("get_parameters", "GetParameters", &everything);
+    assert_eq!(values["values"].as_array().unwrap().len(), all.len());
+    let described = of("describe_parameters", "DescribeParameters", &everything);
+    let described = described["descriptors"].as_array().unwrap();
+    assert_eq!(described.len(), all.len());
+    assert!(described.iter().all(|one| one["description"] != ""));
+
+    let names = r#"{"names": ["paint_period", "image_transport", "photometric.max_turn_rad"]}"#;
+    let described = of("describe_parameters", "DescribeParameters", names);
+    let descriptors = described["descriptors"].as_array().unwrap();
+    assert_eq!(descriptors[1]["read_only"], true);
+    assert_eq!(descriptors[2]["floating_point_range"][0]["to_value"], 0.5);
+    let prefix = r#"{"prefixes": ["texinit.chart"]}"#;
+    let listed = of("list_parameters", "ListParameters", prefix);
+    let listed = listed["result"]["names"].as_array().unwrap();
+    assert!(listed.contains(&Value::from("texinit.chart.max_stretch")));
+    let pairs = [
+        "paint_period=2.5",
+        "paint_period=-1.0",
+        "image_transport=raw",
+    ];
+    let set = rig.peer(&[&["set", NAME], &pairs[..]].concat()).next();
+    let results = set["results"].as_array().unwrap();
+    assert_eq!(results[0]["successful"], true, "{set}");
+    for (result, words) in [(1, "0 ..= 3600"), (2, "fixed")] {
+        assert_eq!(results[result]["successful"], false, "{set}");
+        assert!(results[result]["reason"].as_str().unwrap().contains(words));
+    }
+    let values = of("get_parameters", "GetParameters", names);
+    assert_eq!(values["values"][0]["double_value"], 2.5);
+    assert_eq!(values["values"][1]["string_value"], "auto");
+    assert!(node.is_running());
+}
+
+#[test]
+fn requests_beyond_the_limits_get_no_answer_and_harm_nothing() {
+    let Some(rig) = Rig::new() else { return };
+    let dir = tempfile::tempdir().unwrap();
+    let args = ["limits.request_bytes:=300", "limits.request_names:=2"];
+    let mut node = start(&rig, dir.path(), &["-p", args[0], "-p", args[1]]);
+    let names = |num: usize| serde_json::json!({ "names": vec!["approx_sync"; num] }).to_string();
+    let get = |num| {
+        let type_name = "rcl_interfaces/srv/GetParameters";
+        call(&rig, "get_parameters", type_name, &names(num))
+    };
+    assert_eq!(get(2)["values"].as_array().unwrap().len(), 2);
+    assert_eq!(get(3)["values"].as_array().unwrap().len(), 0);
+    let long = rig.peer(&[
+        "call",
+        "/robot/painter/get_parameters",
+        "rcl_interfaces/srv/GetParameters",
+        &names(100),
+        "--wait",
+        "3",
+    ]);
+    assert_eq!({ long }.next()["error"], "no response");
+    assert!(
+        node.log().contains("limits.request_bytes"),
+        "{}",
+        node.log()
+    );
+    assert_eq!(get(1)["values"].as_array().unwrap().len(), 1);
+    assert!(node.is_running());
+}
+
+#[test]
+fn triggers_answer_and_the_log_is_published() {
+    let Some(rig) = Rig::new() else { return };
+    let dir = tempfile::tempdir().unwrap();
+    let mut node = start(&rig, dir.path(), &[]);
+    assert_eq!(trigger(&rig, "pause")["success"], true);
+    assert_eq!(trigger(&rig, "resume")["success"], true);
+    let painted = trigger(&rig, "retexture");
+    assert_eq!(painted["success"], false);
+    let words = painted["message"].as_str().unwrap();
+    assert!(words.contains("no mesh has come"), "{words}");
+    assert_eq!(trigger(&rig, "reset")["success"], true);
+    let how = ["--latched", "--num", "3"];
+    let log = ["take", "/rosout", "rcl_interfaces/msg/Log"];
+    let log = rig.peer(&[&log[..], &how].concat()).next();
+    assert_eq!(log["messages"][0]["name"], "robot.painter", "{log}");
+    assert!(node.is_running());
+}
+
+/// What the graph shows of the node, by kind.
+fn graph(rig: &Rig) -> Value {
+    let of = ["graph", "painter", "--namespace", "/robot"];
+    rig.peer(&[&of[..], &["--subscriptions", "/tf"]].concat())
+        .next()
+}
+
+#[test]
+fn the_graph_shows_what_the_page_of_topics_lists() {
+    let Some(rig) = Rig::new() else { return };
+    let dir = tempfile::tempdir().unwrap();
+    let mut node = start(&rig, dir.path(), &[]);
+    let graph = graph(&rig);
+    for (kind, name) in [
+        ("subscriptions", "/robot/rgb/camera_info"),
+        ("publishers", "/robot/painter/markers"),
+        ("services", "/robot/painter/save"),
+    ] {
+        assert!(graph[kind][name].is_array(), "{graph}");
+    }
+    let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/topics.md");
+    let page = std::fs::read_to_string(page).unwrap();
+    for kind in ["subscriptions", "publishers", "services"] {
+        for name in graph[kind].as_object().unwrap().keys() {
+            let private = name.strip_prefix("/robot/painter/");
+            let written = match (private, name.strip_prefix("/robot/")) {
+                (Some(private), _) => format!("`~/{private}`"),
+                (None, Some(relative)) => format!("`{relative}`"),
+                (None, None) => format!("`{name}`"),
+            };
+            assert!(page.contains(&written), "docs/topics.md lacks {written}");
+        }
+    }
+    assert!(node.is_running());
+}
+
+#[test]
+fn refine_changes_the_texture_of_a_live_scan() {
+    let Some(rig) = Rig::new() else { return };
+    let dir = tempfile::tempdir().unwrap();
+    let bag = small_tabletop(dir.path(), &[]);
+    let port = free_port();
+    let http = format!("http.port:={port}");
+    let steps = ["-p", "refine_iterations:=3", "-p", "texsmooth.crop_px:=64"];
+    let args = [&POSE_ARGS[..], &steps, &["-p", &http]].concat();
+    let mut node = rig.node(dir.path(), &args);
+    let mut player = rig.peer(&["play", bag.to_str().unwrap()]);
+    assert_eq!(player.next()["matched"], true);
+    player.next();
+    let painted = wait_until(&rig, "painted", is_settled);
+    let num_painted = painted.number("painting", "paintings");
+    let scan = || http_get(port, "/scan.glb").1;
+    let before = scan();
+    let again = |service: &str| {
+        let before = rig.diagnostics().number("painting", "paintings");
+        let done = rig.call(service, "std_srvs/srv/Trigger", "{}");
+        assert_eq!(done["success"], true, "{done}");
+        wait_until(&rig, "painted again", |seen| {
+            is_settled(seen) && seen.number("painting", "paintings") > before
+        })
+    };
+    let refined = again("/veneer/refine");
+    assert!(refined.number("painting", "paintings") > num_painted);
+    assert!(scan() != before, "refining changes nothing");
+    // The optimisation is asked for once, not for all that comes after.
+    again("/veneer/retexture");
+    assert!(scan() == before, "painting again is not what it was");
+    assert!(node.is_running());
+}
+
+/// Faces of the GLB that the node serves.
+fn num_faces_painted(port: u16) -> usize {
+    let (_, bytes) = http_get(port, "/scan.glb");
+    let glb = gltf::Gltf::from_slice(&bytes).unwrap();
+    let primitives = glb.meshes().flat_map(|mesh| mesh.primitives());
+    primitives.map(|p| p.indices().unwrap().count() / 3).sum()
+}
+
+#[test]
+fn mesh_tools_services_give_the_whole_scan() {
+    use veneer::wire::Message;
+    use veneer::wire::service::Service;
+    use veneer::wire::service::mesh::{
+        GetGeometry, GetGeometryRequest, GetGeometryResponse, GetMaterials, GetMaterialsRequest,
+        GetMaterialsResponse, GetTexture, GetTextureRequest, GetTextureResponse, GetUuids,
+        GetUuidsRequest, GetUuidsResponse,
+    };
+
+    let Some(rig) = Rig::new() else { return };
+    let dir = tempfile::tempdir().unwrap();
+    let bag = small_tabletop(dir.path(), &[]);
+    let port = free_port();
+    let http = format!("http.port:={port}");
+    let mut node = rig.node(dir.path(), &[&POSE_ARGS[..], &["-p", &http]].concat());
+    let mut player = rig.peer(&["play", bag.to_str().unwrap()]);
+    assert_eq!(player.next()["matched"], true);
+    player.next();
+    wait_until(&rig, "painted", is_settled);
+    let peer = RawPeer::new(rig.domain);
+    let client = |name: &str, type_name| peer.client(&format!("/veneer/{name}"), type_name);
+    let wait = Duration::from_secs(10);
+    let mut uuids = client("get_uuids", GetUuids::TYPE_NAME);
+    let listed = uuids
+        .call(GetUuidsRequest::default().encode(), wait)
+        .unwrap();
+    let listed = GetUuidsResponse::decode(&listed).unwrap().uuids;
+    assert!(!listed.is_empty());
+    let mut geometries = client("get_geometry", GetGeometry::TYPE_NAME);
+    let mut materials = client("get_materials", GetMaterials::TYPE_NAME);
+    let mut textures = client("get_texture", GetTexture::TYPE_NAME);
+    let (mut num_faces, mut longest) = (0, 0);
+    for uuid in listed {
+        let request = GetGeometryRequest { uuid: uuid.clone() };
+        let geometry = geometries.call(request.encode(), wait).unwrap();
+        let request = GetMaterialsRequest { uuid: uuid.clone() };
+        let look = materials.call(request.encode(), wait).unwrap();
+        let request = GetTextureRequest {
+            uuid: uuid.clone(),
+            texture_index: 0,
+        };
+        let texture = textures.call(request.encode(), wait).unwrap();
+        longest = longest
+            .max(geometry.len())
+            .max(look.len())
+            .max(texture.len());
+        let GetGeometryResponse(geometry) = GetGeometryResponse::decode(&geometry).unwrap();
+        let GetMaterialsResponse(look) = GetMaterialsResponse::decode(&look).unwrap();
+        let GetTextureResponse(texture) = GetTextureResponse::decode(&texture).unwrap();
+        assert_eq!(
+            (geometry.uuid, look.uuid, texture.uuid),
+            (&*uuid, &*uuid, &*uuid)
+        );
+        num_faces += geometry.faces.len();
+        assert_eq!(look.vertex_tex_coords.len(), geometry.vertices_m.len());
+        let num_bytes = texture.image.width as usize * texture.image.height as usize * 3;
+        assert_eq!(texture.image.data.len(), num_bytes);
+    }
+    assert!((10_000..=60_000).contains(&longest), "{longest} bytes");
+    // Each face of the painted mesh is in one of them.
+    assert_eq!(num_faces, num_faces_painted(port));
+    let gone = GetGeometryRequest {
+        uuid: "gone".to_owned(),
+    };
+    assert!(
+        geometries
+            .call(gone.encode(), Duration::from_secs(1))
+            .is_none()
+    );
+    assert!(
+        node.log().contains("there is no mesh 'gone'"),
+        "{}",
+        node.log()
+    );
+    assert!(node.is_running());
+}
