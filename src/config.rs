@@ -11,6 +11,7 @@ pub mod node;
 pub mod parameter;
 pub mod params_file;
 mod publish;
+mod region;
 mod smooth;
 mod texinit;
 pub mod tree;

@@ -2,7 +2,7 @@
 
 use super::Config;
 use super::parameter::{Access, Parameter};
-use super::{export, node, publish, smooth, texinit};
+use super::{export, node, publish, region, smooth, texinit};
 use crate::ingest::PoseSource;
 
 use Access::{Bool, Choice, Count, Float, Float32, Int, Text};
@@ -93,6 +93,11 @@ pub const PARAMETERS: &[Parameter] = &[
         Float(|c| &mut c.pipeline.weld_tolerance_m, 0.0, 1.0)),
     row("mesh.loop_subdivisions", "", "Rounds of Loop subdivision: four triangles for one, corners rounded. The paper's program does one.",
         Int(|c| &mut c.pipeline.num_subdivisions, 0, 3)),
+
+    row("region.box", "m", "Part of the world that this node paints, others painting the rest: x y z of the lower and of the upper corner, in map_frame_id. A triangle is the region's that has its centroid, lower faces included. Empty: all.",
+        Access::Custom { range: "empty, or six numbers", set: region::set_box, get: region::bounds }),
+    row("region.halo_m", "m", "Surface around the region that is painted for its sake, and left to the neighbours.",
+        Float(|c| &mut c.pipeline.region.halo_m, 0.0, 100.0)),
 
     row("texinit.mode", "", "Resets all of texinit to ours (streaming) or to the paper's form (paper); comes before other texinit settings.",
         Choice { words: &["streaming", "paper"], set: texinit::set_mode, get: texinit::mode }),
@@ -252,7 +257,7 @@ pub const PARAMETERS: &[Parameter] = &[
     row("texsmooth.checkpoint_interval", "", "Steps between checkpoints; 0 for none.",
         Count(|c| &mut c.pipeline.texsmooth.checkpoint_interval, 0, 1_000_000)),
 
-    row("stream.enabled", "", "Whether the node paints only what changed since the last painting: charts, labels and texels stay as long as mesh and keyframes do. Not with settings that work on the whole texture (photometric, texsmooth).",
+    row("stream.enabled", "", "Whether the node paints only what changed since the last painting: charts, labels and texels stay as long as mesh and keyframes do. Gains (photometric.gain) are then given to each keyframe once, when it comes. Not with what works on the whole texture: corrected poses, levelled seams, texsmooth.",
         Bool(|c| &mut c.pipeline.follows_changes)),
     row("stream.quantum_m", "m", "Vertices are compared on a grid of this pitch.",
         Float(|c| &mut c.pipeline.stream.diff.quantum_m, 1e-6, 0.01)),

@@ -94,6 +94,21 @@ impl GainTable {
         self.factors.get(&id).copied().unwrap_or([1.0; 3])
     }
 
+    /// Sets the factors of a keyframe.
+    pub fn insert(&mut self, id: KeyframeId, factors: [f32; 3]) {
+        self.factors.insert(id, factors);
+    }
+
+    /// Whether the keyframe's factors were set.
+    pub fn contains(&self, id: KeyframeId) -> bool {
+        self.factors.contains_key(&id)
+    }
+
+    /// Forgets the factors of keyframes that `keep` says no to.
+    pub fn retain(&mut self, keep: impl Fn(KeyframeId) -> bool) {
+        self.factors.retain(|id, _| keep(*id));
+    }
+
     /// All factors, by keyframe.
     pub fn iter(&self) -> impl Iterator<Item = (KeyframeId, [f32; 3])> + '_ {
         self.factors.iter().map(|(id, factors)| (*id, *factors))

@@ -17,6 +17,7 @@ use std::sync::Arc;
 
 use super::clock::StageClock;
 use super::progress::Progress;
+use super::region::RegionParams;
 use super::run::{PipelineError, PipelineParams, StageTime};
 use super::scan::{Scan, prepared_mesh};
 use super::stream::{StreamPainter, Streamed};
@@ -69,6 +70,7 @@ pub struct LiveScan {
     assembler: Assembler,
     store: KeyframeStore,
     mesh: Option<Arc<TriMesh>>,
+    region: RegionParams,
     num_mesh_updates: usize,
     revision: u64,
     span: Option<(Stamp, Stamp)>,
@@ -90,6 +92,7 @@ impl LiveScan {
             assembler: Assembler::new(&params.ingest, topics),
             store: KeyframeStore::new(&keyframe),
             mesh: None,
+            region: params.region,
             num_mesh_updates: 0,
             revision,
             span: None,
@@ -175,7 +178,7 @@ impl LiveScan {
                     self.revision += u64::from(is_kept);
                 }
                 Assembled::Mesh(mesh) => {
-                    self.mesh = Some(mesh);
+                    self.mesh = Some(self.region.cut(mesh));
                     self.num_mesh_updates += 1;
                     self.revision += 1;
                 }
@@ -262,11 +265,14 @@ impl Painter {
         let store = store.unwrap_or_else(|| KeyframeStore::new(&params.keyframe));
         let scan = Scan::new(mesh, &capture, num_welded_vertices, store, params);
         let textured = texture_scan(&scan, &capture.keyframes, params, &clock);
-        let (mesh, store) = scan.into_parts();
+        let (mut mesh, store) = scan.into_parts();
         self.cache = Some(store);
         let Textured {
-            keyframes, texinit, ..
+            keyframes,
+            mut texinit,
+            ..
         } = textured?;
+        params.region.keep_own_of(&mut mesh, &mut texinit);
         Ok(Painted {
             capture,
             mesh,
@@ -292,10 +298,13 @@ impl Painter {
         let Some(state) = self.stream.state() else {
             return Err(PipelineError::NoMesh("nothing is painted".to_owned()));
         };
+        let mut mesh = state.mesh().clone();
+        let (mut layout, mut texture) = (state.layout().clone(), state.texture().clone());
+        params.region.keep_own(&mut mesh, &mut layout, &mut texture);
         Ok(Painted {
-            mesh: state.mesh().clone(),
-            layout: state.layout().clone(),
-            texture: state.texture().clone(),
+            mesh,
+            layout,
+            texture,
             keyframes: capture.keyframes.clone(),
             update: Some(update),
             capture,

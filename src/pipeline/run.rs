@@ -7,6 +7,7 @@ use super::held_out::{self, HeldOutParams, HeldOutView};
 use super::memory::{MemoryParams, MemoryPlan};
 use super::progress::Progress;
 use super::refine::{RefineParams, RefineReport};
+use super::region::RegionParams;
 use super::scan::gather;
 use super::texture::{Textured, texture_scan};
 use crate::ingest::{EventSource, IngestParams, IngestReport};
@@ -27,6 +28,8 @@ pub struct PipelineParams {
     pub keyframe: KeyframeParams,
     /// Vertices closer than this are one, metres; 0 joins those of equal position only.
     pub weld_tolerance_m: f64,
+    /// Which part of the world is painted.
+    pub region: RegionParams,
     /// Rounds of Loop subdivision after welding; each makes four triangles of one.
     pub num_subdivisions: u32,
     /// From frames and mesh to a texture.
@@ -138,10 +141,11 @@ pub fn run(
 
     let Textured {
         keyframes,
-        texinit,
+        mut texinit,
         refine,
         texsmooth,
     } = texture_scan(&scan, &painting, params, &clock)?;
+    params.region.keep_own_of(&mut scan.mesh, &mut texinit);
 
     clock.begin("render held-out views", judging.len());
     let held_out = held_out::render_views(

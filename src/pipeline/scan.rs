@@ -99,7 +99,13 @@ pub fn gather(
     } = receive(source, params, clock);
     let mesh = mesh
         .filter(|mesh| mesh.num_triangles() > 0)
-        .ok_or_else(|| PipelineError::NoMesh(why_nothing(&ingest, "mesh")))?;
+        .ok_or_else(|| {
+            PipelineError::NoMesh(if num_mesh_updates > 0 && params.region.region.is_some() {
+                "nothing of what arrived lies in region.box".to_owned()
+            } else {
+                why_nothing(&ingest, "mesh")
+            })
+        })?;
     let keyframes: Vec<_> = store.keyframes().cloned().collect();
     if keyframes.is_empty() {
         return Err(PipelineError::NoKeyframe(why_nothing(&ingest, "frame")));
@@ -189,7 +195,7 @@ fn receive(
                             drop(store.offer_measured(*frame, quality));
                         }
                         Gained::Mesh(update) => {
-                            mesh = Some(update);
+                            mesh = Some(params.region.cut(update));
                             num_mesh_updates += 1;
                         }
                         Gained::Corrections(corrections) => {

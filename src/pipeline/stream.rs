@@ -1,22 +1,28 @@
 //! The live pipeline where painting follows the change: [`StreamPainter`] keeps charts, labels and
 //! texels between captures, and paints what a capture has otherwise than the one before.
 //!
-//! What is painted is TexInit's result ([`crate::texinit::stream`]). What works on the whole texture
-//! at once (gains, corrected poses, levelled seams, the optimisation) is refused, not left out.
+//! What is painted is TexInit's result ([`crate::texinit::stream`]), from photos with their gains where
+//! these are asked for: each keyframe gets its own when it comes, beside those that stand
+//! ([`stream_gains`]), and keeps it. What works on the whole texture at once (corrected poses, levelled
+//! seams, the optimisation) is refused, not left out.
 //!
 //! [`stream()`] drives it by the time of the stream, so that the same events give the same updates.
+
+mod stream_gains;
 
 use std::sync::Arc;
 
 use super::clock::StageClock;
 use super::live::{Capture, LiveScan};
 use super::progress::Progress;
+use super::refine::{self, RefineParams};
 use super::run::{PipelineError, PipelineParams, StageTime};
 use super::scan::prepared_mesh;
-use crate::geom::Stamp;
+use crate::geom::{ImageError, Stamp};
 use crate::ingest::EventSource;
-use crate::keyframe::{Keyframe, KeyframeParams, KeyframeStore};
+use crate::keyframe::{DecodedFrame, Keyframe, KeyframeParams, KeyframeStore};
 use crate::mesh::TriMesh;
+use crate::photometric::{CorrectedFrames, GainTable};
 use crate::texinit::TexInitParams;
 use crate::texinit::stream::{StreamInit, StreamParams, StreamUpdate};
 
@@ -44,6 +50,8 @@ struct Kept {
     state: StreamInit,
     texinit: TexInitParams,
     stream: StreamParams,
+    refine: RefineParams,
+    gains: GainTable,
     weld: (f64, u32),
     /// The mesh as it arrived last, and as it was painted.
     prepared: Option<(Arc<TriMesh>, Arc<TriMesh>)>,
@@ -63,15 +71,16 @@ impl StreamPainter {
         self.kept.as_ref().map(|kept| &kept.state)
     }
 
-    /// A keyframe's images.
+    /// A keyframe's images, with its gain.
     ///
     /// # Errors
-    /// [`crate::geom::ImageError`] when an image does not decode.
-    pub fn decode(
-        &self,
-        keyframe: &Keyframe,
-    ) -> Result<Arc<crate::keyframe::DecodedFrame>, crate::geom::ImageError> {
-        self.store.decode(keyframe)
+    /// [`ImageError`] when an image does not decode.
+    pub fn decode(&self, keyframe: &Keyframe) -> Result<Arc<DecodedFrame>, ImageError> {
+        let recorded = |keyframe: &Keyframe| self.store.decode(keyframe);
+        match &self.kept {
+            Some(kept) => CorrectedFrames::new(&recorded, &kept.gains, 0).decode(keyframe),
+            None => recorded(keyframe),
+        }
     }
 
     /// Brings the texture up to a capture. With other settings than before all is painted anew. A
@@ -91,7 +100,18 @@ impl StreamPainter {
         clock.begin("weld the mesh", 0);
         let mut kept = self.kept_for(params)?;
         let mesh = kept.prepared_mesh(&capture, params)?;
-        let decode = |keyframe: &Keyframe| self.store.decode(keyframe);
+        let recorded = |keyframe: &Keyframe| self.store.decode(keyframe);
+        if params.refine.has_gain {
+            clock.begin("balance exposure", 0);
+            stream_gains::keep_up(
+                &mut kept.gains,
+                &capture.keyframes,
+                &recorded,
+                &params.refine,
+            );
+        }
+        let corrected = refine::corrected(&recorded, &kept.gains, &params.refine);
+        let decode = |keyframe: &Keyframe| corrected.decode(keyframe);
         let updated = kept
             .state
             .update(&mesh, &capture.keyframes, &decode, &clock);
@@ -108,7 +128,10 @@ impl StreamPainter {
     fn kept_for(&mut self, params: &PipelineParams) -> Result<Kept, PipelineError> {
         let weld = (params.weld_tolerance_m, params.num_subdivisions);
         let is_same = |kept: &Kept| {
-            kept.texinit == params.texinit && kept.stream == params.stream && kept.weld == weld
+            kept.texinit == params.texinit
+                && kept.stream == params.stream
+                && kept.refine == params.refine
+                && kept.weld == weld
         };
         if let Some(kept) = self.kept.take().filter(is_same) {
             return Ok(kept);
@@ -117,6 +140,8 @@ impl StreamPainter {
             state: StreamInit::new(&params.texinit, &params.stream)?,
             texinit: params.texinit.clone(),
             stream: params.stream.clone(),
+            refine: params.refine.clone(),
+            gains: GainTable::default(),
             weld,
             prepared: None,
         })
@@ -149,7 +174,6 @@ impl Kept {
 fn check(params: &PipelineParams) -> Result<(), PipelineError> {
     let refine = &params.refine;
     let whole = [
-        ("photometric.gain", refine.has_gain),
         ("photometric.pose", refine.has_pose),
         ("photometric.global_seams", refine.seams.has_global),
         ("photometric.local_seams", refine.seams.has_local),

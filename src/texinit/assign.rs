@@ -310,6 +310,24 @@ pub struct Assignment {
     pub report: AssignReport,
 }
 
+impl Assignment {
+    /// Keeps the triangles that `keep` says yes to by their index; the report stays that of all.
+    pub fn retain(&mut self, keep: impl Fn(usize) -> bool) {
+        fn retained<T>(values: &mut Vec<T>, keep: &impl Fn(usize) -> bool) {
+            let mut index = 0;
+            values.retain(|_| {
+                index += 1;
+                keep(index - 1)
+            });
+        }
+        retained(&mut self.label, &keep);
+        retained(&mut self.best_texels_per_m, &keep);
+        retained(&mut self.mean_srgb, &keep);
+        retained(&mut self.num_views, &keep);
+        retained(&mut self.is_partly_hidden, &keep);
+    }
+}
+
 /// What scoring needs to know of a frame besides its pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct FramePose {

@@ -33,6 +33,7 @@ mod mips;
 mod overlap;
 mod published;
 mod python;
+mod regions;
 mod replay;
 mod report;
 mod synth;

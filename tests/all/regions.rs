@@ -1,0 +1,113 @@
+//! Programs that each paint a region of one scan make of it, together, what one makes alone.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use veneer::atlas::TexelSource;
+use veneer::bag::{BagReader, TopicRoles};
+use veneer::mesh::{Region, TriangleId};
+use veneer::pipeline::{NoProgress, PipelineParams, RegionParams, Run, run};
+
+use crate::command::{said, small_tabletop, veneer};
+
+fn painted(bag: &Path, region: Option<Region>) -> Run {
+    let params = PipelineParams {
+        region: RegionParams {
+            region,
+            ..RegionParams::default()
+        },
+        ..PipelineParams::default()
+    };
+    let mut reader = BagReader::open(bag, &TopicRoles::default()).unwrap();
+    run(&mut reader, &params, &NoProgress).unwrap()
+}
+
+/// Tiles of the plane that meet in the middle of the table.
+fn quarters() -> Vec<Region> {
+    let halves = [[f64::NEG_INFINITY, 0.03], [0.03, f64::INFINITY]];
+    let (low, high) = (f64::NEG_INFINITY, f64::INFINITY);
+    let of_x = halves.iter().flat_map(|x| halves.map(|y| (x, y)));
+    of_x.map(|(x, y)| Region::new([x[0], y[0], low], [x[1], y[1], high]).unwrap())
+        .collect()
+}
+
+/// The corners of a triangle, to the bit.
+type Corners = [[u64; 3]; 3];
+
+/// What the atlas shows in the middle of each triangle, by its corners: a colour and its source.
+fn shown(run: &Run) -> BTreeMap<Corners, ([u8; 3], TexelSource)> {
+    let layout = &run.texinit.layout;
+    let of_triangle = |triangle: TriangleId| {
+        let corners = run.mesh.corners_m(triangle);
+        let key = corners.map(|corner| [0, 1, 2].map(|axis| corner[axis].to_bits()));
+        let [a, b, c] = layout.corners_texel[triangle.index()];
+        let [x, y] = [0, 1].map(|axis| ((a[axis] + b[axis] + c[axis]) / 3.0) as usize);
+        let page = &run.texinit.texture.pages[layout.page_of(triangle) as usize];
+        let at = y * page.width as usize + x;
+        (key, (page.srgb[at], page.source[at]))
+    };
+    run.mesh.triangle_ids().map(of_triangle).collect()
+}
+
+#[test]
+fn quarters_make_the_whole_every_triangle_once_and_in_the_same_colours() {
+    let dir = tempfile::tempdir().unwrap();
+    let bag = small_tabletop(dir.path(), &[]);
+    let whole = shown(&painted(&bag, None));
+    let mut joined = BTreeMap::new();
+    let mut num_triangles = 0;
+    for region in quarters() {
+        let part = painted(&bag, Some(region));
+        assert_eq!(
+            part.texinit.assignment.label.len(),
+            part.mesh.num_triangles()
+        );
+        assert!(part.mesh.num_triangles() > 50);
+        num_triangles += part.mesh.num_triangles();
+        joined.extend(shown(&part));
+    }
+    assert_eq!(num_triangles, whole.len());
+    assert!(joined.keys().eq(whole.keys()));
+
+    let pairs = || whole.values().zip(joined.values());
+    let num_same = pairs().filter(|(a, b)| a.1 == b.1).count();
+    let same_share = num_same as f64 / whole.len() as f64;
+    assert!(
+        same_share > 0.9,
+        "{same_share} of triangles show the same frame"
+    );
+    let difference = |(a, b): (&([u8; 3], _), &([u8; 3], _))| {
+        let channels = a.0.iter().zip(&b.0);
+        channels
+            .map(|(a, b)| f64::from(a.abs_diff(*b)))
+            .sum::<f64>()
+            / 3.0
+    };
+    let mean = pairs().map(difference).sum::<f64>() / whole.len() as f64;
+    assert!(mean < 3.0, "colours differ by {mean}/255");
+}
+
+#[test]
+fn a_region_is_given_on_the_command_line() {
+    let dir = tempfile::tempdir().unwrap();
+    let bag = small_tabletop(dir.path(), &[]);
+    let out = dir.path().join("out");
+    let (bag, out) = (bag.to_str().unwrap(), out.to_str().unwrap());
+    let args = ["replay", bag, "--out", out, "--json", "--quiet", "-p"];
+    let mut num_triangles = Vec::new();
+    for bounds in [
+        "",
+        "-inf -inf -inf 0.03 inf inf",
+        "0.03 -inf -inf inf inf inf",
+    ] {
+        let bounds = format!("region.box:={bounds}");
+        let mut all = args.to_vec();
+        all.push(&bounds);
+        let output = veneer(&all);
+        assert!(output.status.success(), "{}", said(&output));
+        let report: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+        num_triangles.push(report["mesh"]["num_triangles"].as_u64().unwrap());
+    }
+    assert_eq!(num_triangles[0], num_triangles[1] + num_triangles[2]);
+    assert!(num_triangles[1] > 0 && num_triangles[2] > 0);
+}
