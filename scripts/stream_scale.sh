@@ -1,0 +1,57 @@
+#!/usr/bin/env bash
+# What an update of a kept-up texture costs as the scan grows: walks through copies of a synthetic
+# room, side by side, and prints a table and docs/stream_scale.svg of the time of an update over the
+# size of the scan.
+#
+#   scripts/stream_scale.sh [NUM_ROOMS]
+set -euo pipefail
+cd "$(dirname "$0")/.."
+
+num_rooms=${1:-40}
+cargo build --release --locked --quiet --bin veneer --example stream_scale
+work=$(mktemp -d)
+trap 'rm -rf "$work"' EXIT
+target/release/veneer synth room --quiet -o "$work/room.mcap" --frames 60 --width 320 --height 240 \
+    --color jpeg --edge-length-m 0.08
+target/release/examples/stream_scale "$work/room.mcap" "$num_rooms" 4 \
+    texinit.max_texels:=4000000000 >"$work/rows.json"
+
+python3 - "$work/rows.json" docs/stream_scale.svg <<'PY'
+import json, math, sys
+
+rows = [json.loads(line) for line in open(sys.argv[1])]
+print("| triangles | keyframes | median update, ms | slowest of 4, ms | state, MB |\n|---|---|---|---|---|")
+shown = sorted({round((len(rows) - 1) ** (i / 8)) for i in range(9)} | {0, len(rows) - 1})
+for row in (rows[i] for i in shown if i < len(rows)):
+    times = sorted(row["updates_ms"])
+    print(f"| {row['triangles']:,} | {row['keyframes']:,} | {(times[1] + times[2]) / 2:.0f} | "
+          f"{times[-1]:.0f} | {row['num_bytes'] / 1e6:.0f} |")
+
+WIDTH, HEIGHT, LEFT, BOTTOM, TOP = 720, 380, 70, 50, 20
+most = max(row["triangles"] for row in rows)
+highest = max(max(row["updates_ms"]) for row in rows)
+step = 10 ** math.floor(math.log10(highest))
+step = next(s for s in (step / 5, step / 2, step, 2 * step) if highest / s <= 8)
+x = lambda n: LEFT + (WIDTH - LEFT - 20) * n / most
+y = lambda ms: HEIGHT - BOTTOM - (HEIGHT - BOTTOM - TOP) * ms / highest
+parts = [f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {HEIGHT}" '
+         'font-family="sans-serif" font-size="13">',
+         f'<rect width="{WIDTH}" height="{HEIGHT}" fill="white"/>']
+ms = 0.0
+while ms <= highest:
+    parts.append(f'<path d="M{LEFT} {y(ms):.1f}H{WIDTH - 20}" stroke="#ddd"/>'
+                 f'<text x="{LEFT - 8}" y="{y(ms) + 4:.1f}" text-anchor="end">{ms:g}</text>')
+    ms += step
+for i in range(5):
+    n = most * i // 4
+    parts.append(f'<text x="{x(n):.1f}" y="{HEIGHT - BOTTOM + 18}" text-anchor="middle">{n:,}</text>')
+for row in rows:
+    for ms in row["updates_ms"]:
+        parts.append(f'<circle cx="{x(row["triangles"]):.1f}" cy="{y(ms):.1f}" r="2.5" '
+                     'fill="#2166ac" fill-opacity="0.6"/>')
+parts.append(f'<text x="{(LEFT + WIDTH) / 2}" y="{HEIGHT - 8}" text-anchor="middle">'
+             'triangles of the scan</text>'
+             f'<text x="16" y="{HEIGHT / 2}" text-anchor="middle" '
+             f'transform="rotate(-90 16 {HEIGHT / 2})">one update, ms</text></svg>')
+open(sys.argv[2], "w").write("\n".join(parts) + "\n")
+PY
