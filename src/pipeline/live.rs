@@ -15,6 +15,7 @@ mod resume;
 use std::sync::Arc;
 
 use super::clock::StageClock;
+use super::memory::MemoryPlan;
 use super::progress::Progress;
 use super::run::{PipelineError, PipelineParams, StageTime};
 use super::scan::{Scan, prepared_mesh};
@@ -191,6 +192,8 @@ pub struct Painted {
     pub mesh: TriMesh,
     /// The texture.
     pub textured: Textured,
+    /// How memory was divided.
+    pub memory: MemoryPlan,
     /// Wall times, in order.
     pub stages: Vec<StageTime>,
 }
@@ -234,6 +237,7 @@ impl Painter {
         let store = self.cache.take();
         let store = store.unwrap_or_else(|| KeyframeStore::new(&params.keyframe));
         let scan = Scan::new(mesh, &capture, num_welded_vertices, store, params);
+        let memory = scan.memory;
         let textured = texture_scan(&scan, &capture.keyframes, params, &clock);
         let (mesh, store) = scan.into_parts();
         self.cache = Some(store);
@@ -241,6 +245,7 @@ impl Painter {
             capture,
             mesh,
             textured: textured?,
+            memory,
             stages: clock.finish(),
         })
     }

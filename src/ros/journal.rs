@@ -316,3 +316,6 @@ impl Keeper {
         journal.compact(target)
     }
 }
+
+#[cfg(test)]
+mod tests;

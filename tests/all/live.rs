@@ -1,6 +1,7 @@
 //! The live node among real ROS 2 peers, on 127.0.0.1.
 
 mod raw_peer;
+mod resumed;
 mod rig;
 
 use std::path::Path;
