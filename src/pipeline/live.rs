@@ -16,6 +16,7 @@ mod resume;
 use std::sync::Arc;
 
 use super::clock::StageClock;
+use super::memory::MemoryPlan;
 use super::progress::Progress;
 use super::region::RegionParams;
 use super::run::{PipelineError, PipelineParams, StageTime};
@@ -209,6 +210,8 @@ pub struct Painted {
     pub keyframes: Vec<Arc<Keyframe>>,
     /// What changed since the capture before, where only that was painted.
     pub update: Option<StreamUpdate>,
+    /// How memory was divided.
+    pub memory: MemoryPlan,
     /// Wall times, in order.
     pub stages: Vec<StageTime>,
 }
@@ -232,7 +235,8 @@ impl Painter {
     /// Bytes of decoded images that are kept.
     pub fn num_cached_bytes(&self) -> usize {
         let cache = self.cache.as_ref();
-        cache.map_or(0, |store| store.cache_report().num_bytes)
+        let of_whole = cache.map_or(0, |store| store.cache_report().num_bytes);
+        of_whole + self.stream.num_cached_bytes()
     }
 
     /// Paints the whole, or where [`PipelineParams::follows_changes`] what changed since the last
@@ -264,6 +268,7 @@ impl Painter {
         let store = self.cache.take();
         let store = store.unwrap_or_else(|| KeyframeStore::new(&params.keyframe));
         let scan = Scan::new(mesh, &capture, num_welded_vertices, store, params);
+        let memory = scan.memory;
         let textured = texture_scan(&scan, &capture.keyframes, params, &clock);
         let (mut mesh, store) = scan.into_parts();
         self.cache = Some(store);
@@ -280,6 +285,7 @@ impl Painter {
             texture: texinit.texture,
             keyframes,
             update: None,
+            memory,
             stages: clock.finish(),
         })
     }
@@ -290,6 +296,10 @@ impl Painter {
         params: &PipelineParams,
         progress: &dyn Progress,
     ) -> Result<Painted, PipelineError> {
+        let params = &params.memory.applied_to(params);
+        let memory = memory_plan(&capture, params);
+        let decode_cache = usize::try_from(memory.decode_cache).unwrap_or(usize::MAX);
+        self.stream.set_decode_cache_bytes(decode_cache);
         let Streamed {
             capture,
             update,
@@ -307,8 +317,19 @@ impl Painter {
             texture,
             keyframes: capture.keyframes.clone(),
             update: Some(update),
+            memory,
             capture,
             stages,
         })
     }
+}
+
+/// How the budget is divided for a capture.
+fn memory_plan(capture: &Capture, params: &PipelineParams) -> MemoryPlan {
+    let num_bytes = capture.keyframes.iter().map(|k| k.num_bytes()).sum();
+    let num_triangles = capture.mesh.as_ref().map_or(0, |m| m.num_triangles());
+    let num_keyframes = capture.keyframes.len();
+    params
+        .memory
+        .plan(params, num_bytes, num_keyframes, num_triangles)
 }

@@ -66,6 +66,16 @@ impl StreamPainter {
         }
     }
 
+    /// Keeps up to so many bytes of decoded images.
+    pub fn set_decode_cache_bytes(&mut self, num_bytes: usize) {
+        self.store.set_decode_cache_bytes(num_bytes);
+    }
+
+    /// Bytes of decoded images that are kept.
+    pub fn num_cached_bytes(&self) -> usize {
+        self.store.cache_report().num_bytes
+    }
+
     /// What is painted; `None` before the first capture, and after an error.
     pub fn state(&self) -> Option<&StreamInit> {
         self.kept.as_ref().map(|kept| &kept.state)

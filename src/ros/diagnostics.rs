@@ -500,7 +500,23 @@ fn outputs(seen: &Observation<'_>) -> Finding {
 }
 
 fn process(seen: &Observation<'_>) -> Finding {
+    let plan = &seen.paint.memory;
+    let mut problems = Vec::new();
+    // What holds the parts does not see the rounding of the system's allocator.
+    if plan.budget > 0 && seen.memory_bytes > plan.budget / 10 * 11 {
+        let words = format!(
+            "{:.0} MB are more than memory.budget_mb ({:.0}): raise it, or lower keyframe.budget_mb or texinit.max_texels",
+            seen.memory_bytes as f64 / 1e6,
+            plan.budget as f64 / 1e6
+        );
+        problems.push((Level::Warn, words));
+    }
     let values = vec![
+        value("memory budget", plan.budget),
+        value("memory for images", plan.keyframes),
+        value("memory for decoded images", plan.decode_cache),
+        value("memory for the atlas", plan.atlas),
+        value("memory for mesh and scores", plan.tables),
         value("state", seen.state.label()),
         value("paused", seen.is_paused),
         value("memory_bytes", seen.memory_bytes),
@@ -512,7 +528,7 @@ fn process(seen: &Observation<'_>) -> Finding {
     let megabytes = seen.memory_bytes as f64 / 1e6;
     finding(
         "process",
-        Vec::new(),
+        problems,
         format!("{megabytes:.0} MB resident"),
         values,
     )

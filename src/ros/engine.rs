@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 
 use crate::config::Config;
 use crate::ingest::{EventSource, TimedEvent};
-use crate::pipeline::{Capture, Latest, LiveScan, NoProgress, Painted, Painter};
+use crate::pipeline::{Capture, Latest, LiveScan, MemoryPlan, NoProgress, Painted, Painter};
 use crate::publish::Snapshot;
 
 use super::error::NodeError;
@@ -71,6 +71,8 @@ pub(super) struct PaintStatus {
     pub(super) revision: u64,
     /// Bytes of decoded images that are kept between paintings.
     pub(super) num_cached_bytes: usize,
+    /// How memory is divided.
+    pub(super) memory: MemoryPlan,
 }
 
 /// A painting as it is published.
@@ -454,6 +456,7 @@ fn note(status: &mut PaintStatus, painted: &Painted) {
     status.num_painted += 1;
     status.last_error = None;
     status.revision = painted.capture.revision;
+    status.memory = painted.memory;
     for stage in &painted.stages {
         let entry = status.stages.entry(stage.name).or_default();
         entry.num_runs += 1;

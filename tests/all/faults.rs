@@ -1,7 +1,7 @@
 //! Streams in which messages are lost, come twice, late or out of order, in which the mesh, the
 //! pose, the clock and the camera jump, and images do not decode: live, message by message.
 
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 use veneer::geom::{
@@ -63,7 +63,14 @@ fn camera(focal_px: f64) -> CameraModel {
     CameraModel::ideal(PinholeCamera::new(intrinsics_px, 48, 36).unwrap())
 }
 
-fn color(seed: u64) -> EncodedColor {
+/// The pictures of the path, which are the same in every stream.
+fn color(frame: i64) -> EncodedColor {
+    static PICTURES: OnceLock<Vec<EncodedColor>> = OnceLock::new();
+    let pictures = PICTURES.get_or_init(|| (0..NUM_FRAMES as u64).map(picture).collect());
+    pictures[usize::try_from(frame).unwrap()].clone()
+}
+
+fn picture(seed: u64) -> EncodedColor {
     let mut random = Random(seed);
     let cells: Vec<u8> = (0..12 * 9).map(|_| 60 + random.below(140) as u8).collect();
     let pixels = (0..48 * 36).map(|i| [cells[i / 48 / 4 * 12 + i % 48 / 4]; 3]);
@@ -80,7 +87,9 @@ fn undecodable() -> EncodedColor {
 }
 
 fn depth() -> EncodedDepth {
-    EncodedDepth::png_from_u16_mm(48, 36, &[1500; 48 * 36]).unwrap()
+    static DEPTH: OnceLock<EncodedDepth> = OnceLock::new();
+    let encode = || EncodedDepth::png_from_u16_mm(48, 36, &[1500; 48 * 36]).unwrap();
+    DEPTH.get_or_init(encode).clone()
 }
 
 /// A wall in front of the camera's path, a strip of squares.
@@ -160,7 +169,7 @@ impl Made {
             let image = if self.random.happens(self.faults.undecodable) {
                 undecodable()
             } else {
-                color(i as u64)
+                color(i)
             };
             self.push(clock, "color", Event::Color(cam(), image));
             self.push(clock, "depth_info", Event::DepthInfo(cam(), camera));
@@ -305,7 +314,7 @@ fn any_faults(random: &mut Random) -> Faults {
 fn whatever_arrives_is_accounted_for_and_is_what_a_batch_makes_of_it() {
     let params = PipelineParams::default();
     let (mut num_painted, mut num_keyframes) = (0, 0);
-    for seed in 0..60 {
+    for seed in 0..30 {
         let mut random = Random(seed);
         let faults = any_faults(&mut random);
         let events = Made::new(seed, faults);
@@ -323,19 +332,19 @@ fn whatever_arrives_is_accounted_for_and_is_what_a_batch_makes_of_it() {
         assert!(batch.keyframes == capture.keyframes, "{seed}: {faults:?}");
         assert_eq!(batch.num_mesh_updates, capture.num_mesh_updates);
         assert_eq!(batch.ingest, capture.ingest);
-        if seed % 12 == 0 {
+        if seed % 6 == 0 {
             let painted = Painter::new(&params.keyframe).paint(capture, &params, &NoProgress);
             num_painted += usize::from(painted.is_ok());
         }
     }
     assert!(num_painted > 2, "{num_painted}");
-    assert!(num_keyframes > 500, "{num_keyframes}");
+    assert!(num_keyframes > 200, "{num_keyframes}");
 }
 
 #[test]
 fn what_comes_twice_counts_once() {
     let mut num_twice = 0;
-    for seed in 0..20 {
+    for seed in 0..8 {
         let once = Made::new(seed, Faults::default());
         let twice = Made::new(
             seed,
@@ -347,13 +356,13 @@ fn what_comes_twice_counts_once() {
         num_twice += twice.len() - once.len();
         assert_same(&live(&twice), &live(&once));
     }
-    assert!(num_twice > 500, "{num_twice}");
+    assert!(num_twice > 300, "{num_twice}");
 }
 
 #[test]
 fn what_cannot_be_used_is_as_if_it_had_not_come() {
     let mut num_bad = 0;
-    for seed in 0..20 {
+    for seed in 0..8 {
         let faults = Faults {
             undecodable: 250,
             ..Faults::default()
@@ -390,12 +399,12 @@ fn what_cannot_be_used_is_as_if_it_had_not_come() {
         assert!(with.mesh == without.mesh);
         assert!(with.ingest.num_frames >= without.ingest.num_frames);
     }
-    assert!(num_bad > 200, "{num_bad}");
+    assert!(num_bad > 100, "{num_bad}");
 }
 
 #[test]
 fn a_mesh_that_shrinks_resets_or_flips_is_the_last_one() {
-    for seed in 0..20 {
+    for seed in 0..8 {
         let faults = Faults {
             mesh_jumps: 900,
             twice: 100,

@@ -4,6 +4,7 @@ mod corrections;
 mod painting;
 mod peers;
 mod raw_peer;
+mod resumed;
 mod rig;
 #[cfg(feature = "security")]
 mod security;
