@@ -71,10 +71,13 @@ pub(super) fn clients(context: &Context, dds_topic: &str, member: GUID) -> Vec<C
     });
     of_member
         .map(|data| {
-            let locators = &data.reader_proxy.unicast_locator_list;
+            let reader = &data.reader_proxy;
+            // Fast DDS names shared memory too, which ours does not speak.
+            let mut reached_over = reader.unicast_locator_list.iter().filter(|l| l.is_udp());
+            let is_reached = reached_over.clone().next().is_some();
             Client {
-                reader: data.reader_proxy.remote_reader_guid,
-                is_local: !locators.is_empty() && locators.iter().all(|l| l.is_loopback()),
+                reader: reader.remote_reader_guid,
+                is_local: is_reached && reached_over.all(|l| l.is_loopback()),
             }
         })
         .collect()

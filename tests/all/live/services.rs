@@ -202,7 +202,7 @@ fn refine_changes_the_texture_of_a_live_scan() {
     let bag = small_tabletop(dir.path(), &[]);
     let port = free_port();
     let http = format!("http.port:={port}");
-    let steps = ["-p", "refine_iterations:=3", "-p", "texsmooth.crop_px:=64"];
+    let steps = ["-p", "refine_iterations:=3", "-p", "texsmooth.crop_px:=96"];
     let args = [&POSE_ARGS[..], &steps, &["-p", &http]].concat();
     let mut node = rig.node(dir.path(), &args);
     let mut player = rig.peer(&["play", bag.to_str().unwrap()]);
