@@ -3,7 +3,7 @@
 //! [`StreamInit::update`] is told what there is now, mesh and keyframes, finds what changed since
 //! the last time, and redoes what depends on it:
 //!
-//! 1. [`crate::mesh::diff`]: triangles kept, moved, changed, new and gone. A chart that lost one is
+//! 1. [`mod@crate::mesh::diff`]: triangles kept, moved, changed, new and gone. A chart that lost one is
 //!    taken apart, a small one beside changed surface too; what has no chart then is flattened, separated,
 //!    absorbed and packed among itself. Other charts keep their place in the atlas, and their triangles
 //!    and vertices what is known of them; where vertices moved they are scored and painted anew.

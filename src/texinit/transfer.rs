@@ -38,6 +38,7 @@ use crate::mesh::{TriMesh, TriangleId};
 use crate::render::{Frustum, MeshRuns, VisibilityBuffer, VisibilityParams};
 
 use super::assign::{Assignment, FailedFrame, FramePose};
+use mean::CameraSight;
 pub(crate) use mean::{MAX_FRAMES_IN_ANY_ORDER, MeanTexels, TexelSum};
 use sampler::TriangleSampler;
 
@@ -420,36 +421,47 @@ impl Painter<'_> {
         let camera_from_world = &camera_pose.camera_from_world;
         let any_mean_in = |camera: &PinholeCamera| {
             let frustum = Frustum::new(camera, camera_from_world);
-            means().any(|means| means.texels.any_in_view(&frustum))
+            means().any(|means| means.texels.any_in_view(self.mesh, &frustum))
         };
-        let may_need_mean = match job.cameras.and_then(|cameras| cameras[index]) {
+        let known = job.cameras.and_then(|cameras| cameras[index]);
+        let may_need_mean = match known {
             Some(camera) => any_mean_in(&camera),
             None => means().any(|means| !means.texels.is_empty()),
         };
         if triangles.is_empty() && !may_need_mean {
             return Ok(None);
         }
-        let frame = decode().map_err(|error| error.to_string())?;
-        let mut visibility = None;
-        let any_hidden = |triangles: &[TriangleId]| {
-            let mut triangles = triangles.iter();
-            triangles.any(|triangle| self.is_partly_hidden[triangle.index()])
+        let decode = || decode().map_err(|error| error.to_string());
+        let mut decoded = None;
+        let camera = match known {
+            Some(camera) => camera,
+            None => decoded.insert(decode()?).color_camera,
         };
-        let has_means =
-            self.params.mean_form == MeanForm::Seeing && any_mean_in(&frame.color_camera);
-        if has_means || any_hidden(triangles) {
-            let part = self.runs.in_view(&frame.color_camera, camera_from_world);
+        let mut hidden = triangles.iter();
+        let any_hidden = hidden.any(|triangle| self.is_partly_hidden[triangle.index()]);
+        let is_seeing = self.params.mean_form == MeanForm::Seeing;
+        let mut visibility = None;
+        if any_hidden || is_seeing && any_mean_in(&camera) {
+            let part = self.runs.in_view(&camera, camera_from_world);
+            let params = &self.params.visibility;
             buffer
-                .update_part(
-                    self.mesh,
-                    &part,
-                    &frame.color_camera,
-                    camera_from_world,
-                    &self.params.visibility,
-                )
+                .update_part(self.mesh, &part, &camera, camera_from_world, params)
                 .map_err(|error| error.to_string())?;
             visibility = Some(&*buffer);
         }
+        let sight = CameraSight {
+            camera: &camera,
+            pose: &camera_pose,
+            visibility: visibility.filter(|_| is_seeing),
+        };
+        let any_visible = || means().any(|m| m.texels.any_visible(self.mesh, &sight));
+        if known.is_some() && triangles.is_empty() && !any_visible() {
+            return Ok(None);
+        }
+        let frame = match decoded {
+            Some(frame) => frame,
+            None => decode()?,
+        };
         let mut painted = vec![vec![]; self.layout.num_pages as usize];
         for &triangle in triangles {
             let sampler = TriangleSampler::new(

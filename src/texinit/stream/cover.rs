@@ -50,6 +50,7 @@ impl<'a> TouchedSurface<'a> {
 }
 
 /// Blocks of an image.
+#[derive(Debug)]
 pub(super) struct Cover {
     camera: PinholeCamera,
     camera_from_world: RigidTransform,
@@ -79,6 +80,23 @@ impl Cover {
         }
     }
 
+    /// Behind the camera; left, right, above and below of the image widened by `reach_px`. These are
+    /// half-spaces, so that what lies in one with all its corners does so altogether.
+    fn is_outside(&self, point_in_camera: &Point3<f64>, reach_px: f64) -> [bool; 5] {
+        let [fx, fy, cx, cy] = self.camera.intrinsics_px();
+        let Point3 { coords } = point_in_camera;
+        let (x, y, z) = (coords.x, coords.y, coords.z);
+        let right = f64::from(self.camera.width()) + reach_px - cx;
+        let bottom = f64::from(self.camera.height()) + reach_px - cy;
+        [
+            z <= 0.0,
+            fx * x + (cx + 1.0 + reach_px) * z < 0.0,
+            fx * x - right * z > 0.0,
+            fy * y + (cy + 1.0 + reach_px) * z < 0.0,
+            fy * y - bottom * z > 0.0,
+        ]
+    }
+
     /// Columns and rows, first and last, of the blocks that points may project into; `None` where
     /// they are all out of the image.
     #[expect(
@@ -89,10 +107,14 @@ impl Cover {
     fn blocks(&self, points_m: &[Point3<f64>], reach_px: f64) -> Option<[[usize; 2]; 2]> {
         let mut low = [f64::INFINITY; 2];
         let mut high = [f64::NEG_INFINITY; 2];
-        let (mut nearest_m, mut farthest_m) = (f64::INFINITY, f64::NEG_INFINITY);
+        let mut nearest_m = f64::INFINITY;
+        let mut is_outside = [true; 5];
         for point in points_m {
             let point = self.camera_from_world.transform_point(point);
-            (nearest_m, farthest_m) = (nearest_m.min(point.z), farthest_m.max(point.z));
+            nearest_m = nearest_m.min(point.z);
+            for (all, one) in is_outside.iter_mut().zip(self.is_outside(&point, reach_px)) {
+                *all &= one;
+            }
             if let Some(px) = self.camera.project(&point) {
                 for axis in 0..2 {
                     low[axis] = low[axis].min(px[axis]);
@@ -100,7 +122,7 @@ impl Cover {
                 }
             }
         }
-        if farthest_m <= 0.0 {
+        if is_outside.contains(&true) {
             return None;
         }
         if nearest_m < NEAR_M {
@@ -166,13 +188,11 @@ mod tests {
         assert!(!cover.meets(&triangle(0.24, 0.0, 1.0)));
         assert!(cover.meets(&triangle(0.12, 0.0, 1.0)));
         assert!(!cover.meets(&triangle(0.0, 0.0, -1.0)));
-        // A triangle that reaches behind the camera may be anywhere.
-        let around = [
-            Point3::new(0.0, 0.0, -1.0),
-            Point3::new(9.0, 0.0, 1.0),
-            Point3::new(9.0, 9.0, 1.0),
-        ];
-        assert!(cover.meets(&around));
+        // A triangle that reaches behind the camera through the image may be anywhere in it, one
+        // beside the image is not in it.
+        let corners = |x: f64| [[x, 0.0, -1.0], [x, 0.1, 1.0], [x, 9.0, 1.0]].map(Point3::from);
+        assert!(cover.meets(&corners(0.1)));
+        assert!(!cover.meets(&corners(9.0)));
     }
 
     #[test]

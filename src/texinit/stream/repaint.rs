@@ -1,9 +1,11 @@
 //! Texels of triangles that are painted otherwise than before, the unseen regions beside them, and
 //! the gutters around them.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use super::charts::{Dirt, StreamChart};
+use super::cover::Cover;
 use super::keyframes::Turnover;
 use super::surface::SurfaceChange;
 use super::{StreamInit, StreamUpdate};
@@ -11,7 +13,7 @@ use crate::atlas::gutter::dilate_gutters_of;
 use crate::atlas::{TexelSource, TexturePage, for_each_texel_within};
 use crate::geom::PinholeCamera;
 use crate::keyframe::Keyframe;
-use crate::mesh::TriangleId;
+use crate::mesh::{TriMesh, TriangleId};
 use crate::texinit::assign::{Assignment, FramePose};
 use crate::texinit::fill::{Coverage, Surface, fill_triangles, regions_at};
 use crate::texinit::transfer::{MeanJob, MeanTexels, PaintJob, Painter, TexelSum, TransferMode};
@@ -59,7 +61,12 @@ impl StreamInit {
         let is_assigned = self.params.transfer.mode == TransferMode::Assigned;
         let mut plan = Plan::default();
         for ((chart, dirt), before) in self.charts.iter_mut().zip(&change.dirt).zip(before) {
-            plan.add_chart(chart, dirt, before.as_ref(), turnover, is_assigned);
+            let sight = Sight {
+                mesh: &self.mesh,
+                dirt,
+                covers: &change.covers,
+            };
+            plan.add_chart(chart, &sight, before.as_ref(), turnover, is_assigned);
         }
         let touched = plan.touched();
         update.num_triangles_painted = touched.len();
@@ -224,16 +231,42 @@ impl StreamInit {
     }
 }
 
+/// What keyframes see otherwise than before in a chart.
+struct Sight<'a> {
+    mesh: &'a TriMesh,
+    dirt: &'a Dirt,
+    covers: &'a BTreeMap<u32, Cover>,
+}
+
+impl Sight<'_> {
+    /// Whether a keyframe may see other parts of the triangle than before.
+    fn is_resighted_in(&self, triangle: TriangleId, frame: u32) -> bool {
+        self.dirt.resighted.contains(&frame) && self.may_differ(triangle, frame)
+    }
+
+    /// The same of any keyframe.
+    fn is_resighted(&self, triangle: TriangleId) -> bool {
+        let mut frames = self.dirt.resighted.iter();
+        frames.any(|&frame| self.may_differ(triangle, frame))
+    }
+
+    fn may_differ(&self, triangle: TriangleId, frame: u32) -> bool {
+        let cover = self.covers.get(&frame);
+        cover.is_none_or(|cover| cover.meets(&self.mesh.corners_m(triangle)))
+    }
+}
+
 impl Plan {
     /// Adds what is painted otherwise in a chart.
     fn add_chart(
         &mut self,
         chart: &mut StreamChart,
-        dirt: &Dirt,
+        sight: &Sight<'_>,
         before: Option<&Assignment>,
         turnover: &Turnover,
         is_assigned: bool,
     ) {
+        let dirt = sight.dirt;
         let is_same = before.is_none() && dirt.resighted.is_empty() && dirt.added.is_empty();
         let is_elsewhere = dirt.is_fresh || dirt.is_relaid;
         if is_same && !is_elsewhere && !dirt.is_moved() {
@@ -251,13 +284,14 @@ impl Plan {
             let label = label.filter(|_| is_assigned);
             let needs_mean = label.is_none() || is_hidden;
             let sums = chart.means.remove(&number_u32);
-            let is_resighted = |frame: u32| {
-                let is_other = is_hidden || turnover.moved.contains(&frame);
-                dirt.resighted.contains(&frame) && is_other
+            let is_other = |frame: u32| {
+                turnover.moved.contains(&frame)
+                    || (is_hidden && sight.is_resighted_in(triangle, frame))
             };
-            let paints = is_new || label.is_some_and(is_resighted);
+            let paints = is_new || label.is_some_and(is_other);
+            let keeps_sums = needs_mean && !is_new && !sight.is_resighted(triangle);
             let sums = match sums {
-                Some(sums) if needs_mean && !is_new && dirt.resighted.is_empty() => sums,
+                Some(sums) if keeps_sums => sums,
                 _ => {
                     if needs_mean || paints {
                         self.wiped.push(triangle);

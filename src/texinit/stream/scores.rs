@@ -26,6 +26,8 @@ struct Sighting {
     charts: Vec<usize>,
     /// What it says of them, by chart; nothing of those that it may not paint.
     parts: BTreeMap<u32, FrameCandidates>,
+    /// Where what it sees may have changed, in the image of a keyframe that stayed.
+    cover: Option<Cover>,
 }
 
 /// What all keyframes look at.
@@ -107,6 +109,10 @@ impl StreamInit {
         if let Some(known) = self.frames.get_mut(number) {
             known.camera = Some(sighting.camera);
         }
+        let is_resighted = turnover.moved.contains(&number) || sighting.cover.is_some();
+        if let Some(cover) = sighting.cover.take() {
+            change.covers.insert(number, cover);
+        }
         for index in sighting.charts {
             let (chart, dirt) = (&mut self.charts[index], &mut change.dirt[index]);
             #[expect(clippy::cast_possible_truncation, reason = "fewer than triangles")]
@@ -120,7 +126,7 @@ impl StreamInit {
             }
             if turnover.added.contains(&number) {
                 dirt.added.insert(number);
-            } else {
+            } else if is_resighted {
                 dirt.resighted.insert(number);
             }
         }
@@ -178,10 +184,12 @@ impl Scoring<'_> {
             Some(camera) => camera,
             None => decoded.insert(decode()?).color_camera,
         };
+        let cover = self.cover(keyframe.id.0, known, &camera);
         let mut sighting = Sighting {
             camera,
-            charts: self.charts_to_score(keyframe.id.0, known, &camera),
+            charts: self.charts_to_score(keyframe.id.0, known, &camera, cover.as_ref()),
             parts: BTreeMap::new(),
+            cover,
         };
         if sighting.charts.is_empty() {
             return Ok(Some(sighting));
@@ -218,11 +226,22 @@ impl Scoring<'_> {
         Ok(Some(sighting))
     }
 
+    /// Where surface came or went in the image of a keyframe that stayed.
+    fn cover(&self, number: u32, known: &KnownFrame, camera: &PinholeCamera) -> Option<Cover> {
+        if self.turnover.is_unseen(number) {
+            return None;
+        }
+        let camera_from_world = known.pose.world_from_camera.inverse();
+        let reach_px = self.reach_px(camera);
+        self.touched.cover(camera, &camera_from_world, reach_px)
+    }
+
     fn charts_to_score(
         &self,
         number: u32,
         known: &KnownFrame,
         camera: &PinholeCamera,
+        cover: Option<&Cover>,
     ) -> Vec<usize> {
         let camera_from_world = known.pose.world_from_camera.inverse();
         let frustum = Frustum::new(camera, &camera_from_world);
@@ -231,19 +250,13 @@ impl Scoring<'_> {
         {
             return Vec::new();
         }
-        let cover = if self.turnover.is_unseen(number) {
-            None
-        } else {
-            let reach_px = self.reach_px(camera);
-            self.touched.cover(camera, &camera_from_world, reach_px)
-        };
         let charts = self.state.charts.iter().zip(&self.change.dirt).enumerate();
         let in_view = charts.filter(|(_, (chart, _))| frustum.may_see(&chart.bounds));
         let to_score = in_view.filter(|(_, (chart, dirt))| {
             self.turnover.is_unseen(number)
                 || dirt.is_fresh
                 || dirt.is_moved()
-                || cover.as_ref().is_some_and(|cover| self.meets(cover, chart))
+                || cover.is_some_and(|cover| self.meets(cover, chart))
         });
         to_score.map(|(index, _)| index).collect()
     }

@@ -1,10 +1,12 @@
 //! What a new mesh does to the charts: which stay, and which triangles need one.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use nalgebra::Point3;
 
 use super::charts::{Dirt, StreamChart, layout_of, triangles_from};
+use super::cover::Cover;
 use super::{StreamError, StreamInit, StreamUpdate};
 use crate::atlas::TexelSource;
 use crate::mesh::diff::on_grid;
@@ -30,6 +32,8 @@ pub(super) struct SurfaceChange {
     pub(super) is_touched: Vec<bool>,
     /// Per chart, new ones included once they are placed.
     pub(super) dirt: Vec<Dirt>,
+    /// Where surface that came or went lies in the images of keyframes that stayed, by number.
+    pub(super) covers: BTreeMap<u32, Cover>,
 }
 
 /// A triangle of the caller's mesh, listed from one of its corners on.

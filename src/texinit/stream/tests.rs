@@ -8,9 +8,12 @@ mod scan;
 use rayon::prelude::*;
 
 use super::*;
-use crate::atlas::{AtlasTexture, PackParams, TexelSource, num_shared_texels};
+use crate::atlas::{AtlasTexture, PackParams, TexelSource, TexturePage, num_shared_texels};
+use crate::geom::ImageError;
 use crate::texinit::assign::AssignParams;
+use crate::texinit::density::DensityParams;
 use crate::texinit::flatten::FlattenParams;
+use crate::texinit::transfer::{TransferMode, TransferParams};
 use crate::texinit::{Repainted, repaint};
 use scan::{Draw, Scan, Silent};
 
@@ -27,9 +30,14 @@ fn texinit_params() -> TexInitParams {
             gutter_texel: 1,
             max_texels: 64 * 64 * 64,
         },
-        density: crate::texinit::density::DensityParams {
+        density: DensityParams {
             texels_per_m: 24.0,
-            ..Default::default()
+            ..DensityParams::default()
+        },
+        // Frames differ in sharpness enough to lose triangles to others for it.
+        assign: AssignParams {
+            sharpness_weight: 1.0,
+            ..AssignParams::default()
         },
         ..TexInitParams::default()
     }
@@ -79,9 +87,8 @@ fn check_equality(state: &StreamInit, scan: &Scan, params: &TexInitParams) {
     assert_eq!(state.texture().pages.len(), batch.texture.pages.len());
     for (page, (ours, theirs)) in pages.enumerate() {
         for index in 0..ours.srgb.len() {
-            let texel = |page: &crate::atlas::TexturePage| {
-                (page.srgb[index], page.source[index], page.confidence[index])
-            };
+            let texel =
+                |page: &TexturePage| (page.srgb[index], page.source[index], page.confidence[index]);
             let (x, y) = (index % 64, index / 64);
             assert_eq!(texel(ours), texel(theirs), "page {page}, texel ({x}, {y})");
         }
@@ -157,17 +164,17 @@ fn other_forms_give_their_batch_too() {
             ..base.clone()
         },
         TexInitParams {
-            transfer: crate::texinit::transfer::TransferParams {
-                mode: crate::texinit::transfer::TransferMode::L2Avg,
-                ..Default::default()
+            transfer: TransferParams {
+                mode: TransferMode::L2Avg,
+                ..TransferParams::default()
             },
             ..base.clone()
         },
         // The density is taken from the images.
         TexInitParams {
-            density: crate::texinit::density::DensityParams {
+            density: DensityParams {
                 max_texels_per_m: 40.0,
-                ..Default::default()
+                ..DensityParams::default()
             },
             ..base
         },
@@ -245,7 +252,7 @@ fn nothing_new_changes_nothing() {
 fn an_empty_scan_and_bad_settings() {
     let (params, stream) = (texinit_params(), stream_params());
     let mut state = StreamInit::new(&params, &stream).unwrap();
-    let decode = |_: &Keyframe| Err(crate::geom::ImageError::Encoding("none".to_owned()));
+    let decode = |_: &Keyframe| Err(ImageError::Encoding("none".to_owned()));
     let empty = Arc::new(TriMesh::default());
     let update = state.update(&empty, &[], &decode, &Silent).unwrap();
     assert_eq!(update, StreamUpdate::default());

@@ -9,12 +9,12 @@ use crate::atlas::{AtlasLayout, TexelSource, TexturePage};
 use crate::geom::PinholeCamera;
 use crate::geom::color::srgb_from_linear;
 use crate::mesh::{TriMesh, TriangleId};
-use crate::render::{BoundingBox, Frustum};
+use crate::render::{BoundingBox, Frustum, VisibilityBuffer};
 use crate::texinit::assign::DepthCue;
 use crate::texinit::assign::validity::{DepthProbe, depth_difference_m};
 
-use super::sampler::TriangleSampler;
-use super::{FrameLook, MEAN_CONFIDENCE, MeanForm, TransferParams};
+use super::sampler::{TriangleSampler, slope_m};
+use super::{CameraPose, FrameLook, MEAN_CONFIDENCE, MeanForm, TransferParams};
 
 /// Triangles that one task works on.
 const TASK_SIZE: usize = 256;
@@ -143,8 +143,22 @@ impl MeanTexels {
     }
 
     /// Whether a camera may see one of the triangles, were nothing in its way.
-    pub(super) fn any_in_view(&self, frustum: &Frustum) -> bool {
-        self.bounds.iter().any(|bounds| frustum.may_see(bounds))
+    pub(super) fn any_in_view(&self, mesh: &TriMesh, frustum: &Frustum) -> bool {
+        let is_in_view = |&triangle: &TriangleId| {
+            frustum.may_see(&BoundingBox::around(mesh.corners_m(triangle)))
+        };
+        let mut chunks = self.triangles.chunks(TASK_SIZE).zip(&self.bounds);
+        chunks
+            .any(|(triangles, bounds)| frustum.may_see(bounds) && triangles.iter().any(is_in_view))
+    }
+
+    /// Whether a camera may see one of the triangles past what is drawn of the mesh.
+    pub(super) fn any_visible(&self, mesh: &TriMesh, sight: &CameraSight<'_>) -> bool {
+        let frustum = Frustum::new(sight.camera, &sight.pose.camera_from_world);
+        let is_visible = |&triangle: &TriangleId| sight.corners(mesh, triangle).is_some();
+        let mut chunks = self.triangles.chunks(TASK_SIZE).zip(&self.bounds);
+        chunks
+            .any(|(triangles, bounds)| frustum.may_see(bounds) && triangles.iter().any(is_visible))
     }
 
     /// Adds what a group of frames sees, frame by frame.
@@ -231,6 +245,33 @@ fn may_see(camera: &PinholeCamera, corners_in_camera: &[Point3<f64>; 3]) -> bool
         && !all(&|p| fy * p.y + (cy - max_y) * p.z > 0.0)
 }
 
+/// A camera, and what is drawn of the mesh from it.
+pub(super) struct CameraSight<'a> {
+    pub(super) camera: &'a PinholeCamera,
+    pub(super) pose: &'a CameraPose,
+    pub(super) visibility: Option<&'a VisibilityBuffer>,
+}
+
+impl CameraSight<'_> {
+    /// Corners of a triangle in the camera; `None` where none of it is seen.
+    fn corners(&self, mesh: &TriMesh, triangle: TriangleId) -> Option<[Point3<f64>; 3]> {
+        let corners = self.pose.corners_in_camera(mesh, triangle);
+        if !may_see(self.camera, &corners) {
+            return None;
+        }
+        let projected = corners.map(|p| self.camera.project(&p));
+        let is_hidden = match (self.visibility, projected) {
+            (Some(visibility), [Some(a), Some(b), Some(c)]) => {
+                let nearest_m = corners.iter().map(|p| p.z).fold(f64::INFINITY, f64::min);
+                let slope_m = slope_m(self.camera, &corners);
+                visibility.hides_all(&[a, b, c], nearest_m, slope_m)
+            }
+            _ => false,
+        };
+        (!is_hidden).then_some(corners)
+    }
+}
+
 fn add_triangle(
     mesh: &TriMesh,
     layout: &AtlasLayout,
@@ -240,10 +281,16 @@ fn add_triangle(
     sums: &mut [TexelSum],
 ) {
     let camera = &look.frame.color_camera;
-    let corners = look.pose.corners_in_camera(mesh, triangle);
-    if !may_see(camera, &corners) {
+    let sight = CameraSight {
+        camera,
+        pose: &look.pose,
+        visibility: look
+            .visibility
+            .filter(|_| params.mean_form == MeanForm::Seeing),
+    };
+    let Some(corners) = sight.corners(mesh, triangle) else {
         return;
-    }
+    };
     let corners_texel = &layout.corners_texel[triangle.index()];
     let Some(sampler) = TriangleSampler::new(corners, corners_texel, camera, params) else {
         return;
@@ -256,12 +303,6 @@ fn add_triangle(
         (MeanForm::Seeing, Some(visibility)) => visibility,
         (MeanForm::Seeing, None) => return,
     };
-    let nearest_m = corners.iter().map(|p| p.z).fold(f64::INFINITY, f64::min);
-    if let [Some(a), Some(b), Some(c)] = corners.map(|p| camera.project(&p))
-        && visibility.hides_all(&[a, b, c], nearest_m, sampler.slope_m())
-    {
-        return;
-    }
     let depth = look.frame.depth.as_ref().map(DepthProbe::new);
     let mut sums = sums.iter_mut();
     for_each_texel_within(corners_texel, layout.page_size_texel, |_, _, weights| {

@@ -11,6 +11,13 @@ use crate::render::visibility::depth_slope_m;
 
 use super::{Lookup, TransferParams};
 
+/// Change of a triangle's depth per pixel, metres.
+pub(super) fn slope_m(camera: &PinholeCamera, corners_in_camera: &[Point3<f64>; 3]) -> f64 {
+    let [a, b, c] = corners_in_camera;
+    let center = (a.coords + b.coords + c.coords) / 3.0;
+    depth_slope_m(camera, &Point3::from(center), &(b - a).cross(&(c - a)))
+}
+
 /// One triangle seen by one camera.
 pub(super) struct TriangleSampler {
     /// Corners as (column · z, row · z, z).
@@ -101,14 +108,9 @@ impl TriangleSampler {
             } else {
                 0.0
             },
-            slope_m: depth_slope_m(camera, &Point3::from(view), &normal),
+            slope_m: slope_m(camera, &corners_in_camera),
             max_px: [camera.width(), camera.height()].map(|side| f64::from(side - 1)),
         })
-    }
-
-    /// Change of depth per pixel, metres.
-    pub(super) fn slope_m(&self) -> f64 {
-        self.slope_m
     }
 
     /// How far the image's colours can be trusted here.
