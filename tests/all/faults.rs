@@ -33,6 +33,10 @@ impl Random {
         usize::try_from(self.below(len as u64)).unwrap()
     }
 
+    fn byte_below(&mut self, end: u64) -> u8 {
+        u8::try_from(self.below(end)).unwrap()
+    }
+
     fn happens(&mut self, per_mille: u64) -> bool {
         self.below(1000) < per_mille
     }
@@ -72,7 +76,7 @@ fn color(frame: i64) -> EncodedColor {
 
 fn picture(seed: u64) -> EncodedColor {
     let mut random = Random(seed);
-    let cells: Vec<u8> = (0..12 * 9).map(|_| 60 + random.below(140) as u8).collect();
+    let cells: Vec<u8> = (0..12 * 9).map(|_| 60 + random.byte_below(140)).collect();
     let pixels = (0..48 * 36).map(|i| [cells[i / 48 / 4 * 12 + i % 48 / 4]; 3]);
     let image = ColorImage::new(48, 36, pixels.collect()).unwrap();
     EncodedColor::png_from_image(&image).unwrap()
@@ -118,7 +122,7 @@ fn header(frame_id: &str, nanos: i64) -> Header {
 }
 
 impl Made {
-    fn new(seed: u64, faults: Faults) -> Vec<TimedEvent> {
+    fn stream(seed: u64, faults: Faults) -> Vec<TimedEvent> {
         let mut made = Self {
             random: Random(seed),
             faults,
@@ -177,7 +181,7 @@ impl Made {
             if i % 6 == 0 {
                 num_squares += 1;
                 if self.random.happens(self.faults.mesh_jumps) {
-                    num_squares = 1 + self.random.below(8) as u32;
+                    num_squares = 1 + u32::from(self.random.byte_below(8));
                     is_flipped = self.random.happens(500);
                 }
                 let mesh = MeshUpdate::Whole(wall(num_squares, is_flipped));
@@ -317,7 +321,7 @@ fn whatever_arrives_is_accounted_for_and_is_what_a_batch_makes_of_it() {
     for seed in 0..30 {
         let mut random = Random(seed);
         let faults = any_faults(&mut random);
-        let events = Made::new(seed, faults);
+        let events = Made::stream(seed, faults);
         let capture = live(&events);
         let mut source = Recorded {
             topics: topics(),
@@ -345,8 +349,8 @@ fn whatever_arrives_is_accounted_for_and_is_what_a_batch_makes_of_it() {
 fn what_comes_twice_counts_once() {
     let mut num_twice = 0;
     for seed in 0..8 {
-        let once = Made::new(seed, Faults::default());
-        let twice = Made::new(
+        let once = Made::stream(seed, Faults::default());
+        let twice = Made::stream(
             seed,
             Faults {
                 twice: 250,
@@ -367,7 +371,7 @@ fn what_cannot_be_used_is_as_if_it_had_not_come() {
             undecodable: 250,
             ..Faults::default()
         };
-        let mut events = Made::new(seed, faults);
+        let mut events = Made::stream(seed, faults);
         let mut random = Random(seed ^ 0xbad);
         for at in (0..events.len()).rev() {
             if random.happens(50) {
@@ -410,7 +414,7 @@ fn a_mesh_that_shrinks_resets_or_flips_is_the_last_one() {
             twice: 100,
             ..Faults::default()
         };
-        let events = Made::new(seed, faults);
+        let events = Made::stream(seed, faults);
         let last = events.iter().rev().find_map(|event| match &event.event {
             Ok(Event::Mesh(_, MeshUpdate::Whole(mesh), _)) => Some(mesh.clone()),
             _ => None,

@@ -13,7 +13,8 @@ use super::step::{self, MAX_CHUNK_BYTES};
 use super::{JournalError, JournalFile, ScanState};
 
 /// Opcode and length.
-const FRAME_BYTES: u64 = 9;
+const FRAME_BYTES: usize = 9;
+const NUM_FRAME_BYTES: u64 = FRAME_BYTES as u64;
 
 /// What was read.
 pub(super) struct Read {
@@ -86,7 +87,7 @@ impl Reader<'_> {
         let mut last_crc = Some(0);
         loop {
             let end = match self.look(at)? {
-                Place::Chunk => at + FRAME_BYTES + self.body.len() as u64,
+                Place::Chunk => at + NUM_FRAME_BYTES + self.body.len() as u64,
                 Place::End => break,
                 Place::Broken(words) => {
                     self.lose(path, at, &words);
@@ -126,11 +127,11 @@ impl Reader<'_> {
         if num_left == 0 {
             return Ok(Place::End);
         }
-        if num_left < FRAME_BYTES {
+        if num_left < NUM_FRAME_BYTES {
             let words = format!("{num_left} bytes are no record");
             return Ok(Place::Broken(words));
         }
-        let mut frame = [0; FRAME_BYTES as usize];
+        let mut frame = [0; FRAME_BYTES];
         self.file.read_at(at, &mut frame)?;
         let [opcode, ref length @ ..] = frame;
         let length = u64::from_le_bytes(*length);
@@ -142,7 +143,7 @@ impl Reader<'_> {
                 return Ok(Place::Broken(words));
             }
         }
-        let num_there = num_left - FRAME_BYTES;
+        let num_there = num_left - NUM_FRAME_BYTES;
         if length > num_there {
             let words = format!("a step of {length} bytes is cut off after {num_there}");
             return Ok(Place::Broken(words));
@@ -152,7 +153,7 @@ impl Reader<'_> {
             return Ok(Place::Broken(words));
         }
         self.body.resize(usize::try_from(length).unwrap_or(0), 0);
-        self.file.read_at(at + FRAME_BYTES, &mut self.body)?;
+        self.file.read_at(at + NUM_FRAME_BYTES, &mut self.body)?;
         Ok(Place::Chunk)
     }
 

@@ -151,6 +151,38 @@ fn a_damaged_step_costs_itself() {
 }
 
 #[test]
+fn a_step_of_an_attempt_that_failed_is_not_taken_for_the_next() {
+    let [mut one, mut other] = [15, 15].map(MadeScan::new);
+    let disks = [1, 2].map(WorseDisk::new);
+    let mut journals = [&disks[0], &disks[1]].map(|d| Journal::create(d.boxed()).unwrap());
+    for _ in 0..6 {
+        one.change();
+        other.change();
+        journals[0].follow(&one.scan).unwrap();
+        journals[1].follow(&other.scan).unwrap();
+    }
+    assert!(disks[0].journal_bytes() == disks[1].journal_bytes());
+    // The two go different ways.
+    other.random = Random(16);
+    one.change();
+    other.change();
+    journals[0].follow(&one.scan).unwrap();
+    journals[1].follow(&other.scan).unwrap();
+    let num_bytes = disks[1].journal_bytes().len();
+    other.change();
+    journals[1].follow(&other.scan).unwrap();
+    let stale = &disks[1].journal_bytes()[num_bytes..];
+    let bytes = [&disks[0].journal_bytes()[..], stale].concat();
+    let found = resumed(&WorseDisk::with_journal(&bytes));
+    assert!(found.state == as_resumed(&one.scan, one.next_id()));
+    assert!(
+        found.losses[0].contains("does not follow"),
+        "{:?}",
+        found.losses
+    );
+}
+
+#[test]
 fn lengths_do_not_drive_memory() {
     let written = written(14, 3);
     let (start, scan) = &written.after[2];
@@ -196,6 +228,9 @@ impl Ordeal {
         let result = journal.follow(&self.made.scan);
         match &result {
             Ok(()) => {
+                // Nothing of an attempt that failed is left behind what is whole.
+                let num_bytes = self.disk.journal_bytes().len() as u64;
+                assert_eq!(num_bytes, journal.report().num_bytes);
                 self.acknowledged = self.made.scan.clone();
                 self.tried.clear();
             }
