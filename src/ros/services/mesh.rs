@@ -142,7 +142,7 @@ fn is_short(name: &str, answer: &[u8], longest: usize) -> bool {
     let is_short = answer.len() <= longest;
     if !is_short {
         tracing::warn!(
-            "~/{name}: an answer of {} bytes does not reach its client, {longest} would: run the client on this host with ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST",
+            "~/{name}: an answer of {} bytes does not reach its client, {longest} would: run the client on this host and keep it to the loopback, see docs/topics.md",
             answer.len()
         );
     }
