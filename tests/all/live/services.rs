@@ -136,7 +136,7 @@ fn requests_beyond_the_limits_get_no_answer_and_harm_nothing() {
         "rcl_interfaces/srv/GetParameters",
         &names(100),
         "--wait",
-        "3",
+        "8",
     ]);
     assert_eq!({ long }.next()["error"], "no response");
     assert!(
