@@ -251,6 +251,19 @@ pub(super) fn depth_transport(config: &Config) -> &'static str {
     transport_word(config.node.depth_transport)
 }
 
+pub(super) fn set_memory_budget(config: &mut Config, text: &str) -> Option<()> {
+    let budget_mb: f64 = text.parse().ok()?;
+    if budget_mb != 0.0 && !(128.0..=1e6).contains(&budget_mb) {
+        return None;
+    }
+    config.pipeline.memory.budget_mb = budget_mb;
+    Some(())
+}
+
+pub(super) fn memory_budget(config: &Config) -> String {
+    config.pipeline.memory.budget_mb.to_string()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -287,17 +300,4 @@ mod tests {
             assert_eq!(mesh_type(&config), *word);
         }
     }
-}
-
-pub(super) fn set_memory_budget(config: &mut Config, text: &str) -> Option<()> {
-    let budget_mb: f64 = text.parse().ok()?;
-    if budget_mb != 0.0 && !(128.0..=1e6).contains(&budget_mb) {
-        return None;
-    }
-    config.pipeline.memory.budget_mb = budget_mb;
-    Some(())
-}
-
-pub(super) fn memory_budget(config: &Config) -> String {
-    config.pipeline.memory.budget_mb.to_string()
 }

@@ -5,6 +5,8 @@
 //! together with what lies within a halo around it, which hides what it hides and has a say in which
 //! frame paints its neighbours, and what the halo shows is then left to the neighbour.
 
+use std::cmp::Ordering;
+
 use nalgebra::Point3;
 
 use super::{TriMesh, TriangleId};
@@ -37,7 +39,8 @@ impl Region {
     /// # Errors
     /// [`RegionError`] unless each lower bound is less than its upper one.
     pub fn new(min_m: [f64; 3], max_m: [f64; 3]) -> Result<Self, RegionError> {
-        match (0..3).find(|&axis| !(min_m[axis] < max_m[axis])) {
+        let is_side = |axis: usize| min_m[axis].partial_cmp(&max_m[axis]) == Some(Ordering::Less);
+        match (0..3).find(|&axis| !is_side(axis)) {
             Some(axis) => Err(RegionError::Bounds {
                 axis,
                 min_m: min_m[axis],

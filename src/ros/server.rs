@@ -22,6 +22,8 @@ use super::transport::{DdsTopic, RawReader, RawWriter, TopicQos, Written};
 const CLIENT_WAIT: Duration = Duration::from_secs(1);
 /// How often that is looked at.
 const CLIENT_POLL: Duration = Duration::from_millis(10);
+/// Time in which the writer is told of a client that discovery has only just found.
+const MATCH_TIME: Duration = Duration::from_millis(50);
 /// Rest after a request that could not be read: a peer that sends nothing else gets no more.
 const REST: Duration = Duration::from_millis(20);
 /// Requests that wait; more than a person or a manager sends at once.
@@ -130,9 +132,8 @@ impl RawServer {
                 .find(|c| c.reader == request.identity.writer_guid);
             let clients = named.map_or_else(|| known.clone(), |client| vec![*client]);
             if !clients.is_empty() || begun.elapsed() >= CLIENT_WAIT {
-                // Discovery knows it now; the writer is told a moment later.
                 if begun.elapsed() > CLIENT_POLL {
-                    smol::Timer::after(CLIENT_POLL).await;
+                    smol::Timer::after(MATCH_TIME).await;
                 }
                 return clients;
             }

@@ -44,7 +44,13 @@ fn shown(run: &Run) -> BTreeMap<Corners, ([f32; 3], TexelSource)> {
         let [a, b, c] = layout.corners_texel[triangle.index()];
         let middle = [0, 1].map(|axis| (a[axis] + b[axis] + c[axis]) / 3.0);
         let page = &run.texinit.texture.pages[layout.page_of(triangle) as usize];
-        let at = middle[1] as usize * page.width as usize + middle[0] as usize;
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "a place on the page, rounded down"
+        )]
+        let [column, row] = middle.map(|side| side as usize);
+        let at = row * page.width as usize + column;
         let color = sample_page(page, middle).unwrap_or_default();
         (key, (color, page.source[at]))
     };

@@ -38,10 +38,11 @@ enum MeshError {
 /// The meshes of the painting that was asked for last.
 #[derive(Default)]
 struct Shelf {
-    made: Mutex<Option<(Arc<Painting>, Arc<Vec<MeshPiece>>)>>,
+    made: Mutex<Option<Shelved>>,
 }
 
 /// The meshes of one painting.
+#[derive(Clone)]
 struct Shelved {
     painting: Arc<Painting>,
     pieces: Arc<Vec<MeshPiece>>,
@@ -53,16 +54,16 @@ impl Shelf {
         let painting = control.shared.last_painted();
         let painting = painting.ok_or(MeshError::NothingPainted)?;
         let mut made = self.made.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some((of, pieces)) = made.as_ref()
-            && Arc::ptr_eq(of, &painting)
+        if let Some(shelved) = made.as_ref()
+            && Arc::ptr_eq(&shelved.painting, &painting)
         {
-            let pieces = Arc::clone(pieces);
-            return Ok(Shelved { painting, pieces });
+            return Ok(shelved.clone());
         }
         let params = mesh_params(control.shared.config().publish);
         let pieces = Arc::new(mesh_pieces(&painting.snapshot(), &params)?);
-        *made = Some((Arc::clone(&painting), Arc::clone(&pieces)));
-        Ok(Shelved { painting, pieces })
+        let shelved = Shelved { painting, pieces };
+        *made = Some(shelved.clone());
+        Ok(shelved)
     }
 }
 
@@ -142,7 +143,7 @@ fn is_short(name: &str, answer: &[u8], longest: usize) -> bool {
     let is_short = answer.len() <= longest;
     if !is_short {
         tracing::warn!(
-            "~/{name}: an answer of {} bytes does not reach its client, {longest} would: run the client on this host with ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST",
+            "~/{name}: an answer of {} bytes does not reach its client, {longest} would: run the client on this host and keep it to the loopback, see docs/topics.md",
             answer.len()
         );
     }

@@ -74,6 +74,21 @@ impl Rig {
         })
     }
 
+    /// Peers that are reached over the loopback alone, by the profile that the docs have.
+    pub(crate) fn on_loopback(&self) -> Self {
+        let profile = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/fastdds_loopback.xml");
+        let profile = profile.to_str().unwrap().to_owned();
+        Self {
+            python: self.python.clone(),
+            environment: vec![
+                ("FASTRTPS_DEFAULT_PROFILES_FILE", profile),
+                // With LOCALHOST, rmw would choose the addresses itself.
+                ("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET".to_owned()),
+            ],
+            domain: self.domain,
+        }
+    }
+
     /// `veneer node --ros-args ARGS…` in this domain; its log goes to `dir`.
     pub(crate) fn node(&self, dir: &Path, args: &[&str]) -> LiveNode {
         node_in(self.domain, dir, args, &[])

@@ -62,9 +62,10 @@ fn parameters_are_listed_whole_described_and_set() {
     let Some(rig) = Rig::new() else { return };
     let dir = tempfile::tempdir().unwrap();
     let mut node = start(&rig, dir.path(), &[]);
+    let near = rig.on_loopback();
     let of = |name: &str, type_name: &str, request: &str| {
         call(
-            &rig,
+            &near,
             name,
             &format!("rcl_interfaces/srv/{type_name}"),
             request,
@@ -106,6 +107,13 @@ fn parameters_are_listed_whole_described_and_set() {
     let values = of("get_parameters", "GetParameters", names);
     assert_eq!(values["values"][0]["double_value"], 2.5);
     assert_eq!(values["values"][1]["string_value"], "auto");
+    // To others a part of the names is given, with what to ask for to get the rest.
+    let type_name = "rcl_interfaces/srv/ListParameters";
+    let far = call(&rig, "list_parameters", type_name, "{}")["result"].clone();
+    let num_names = far["names"].as_array().unwrap().len();
+    assert!((10..all.len()).contains(&num_names), "{far}");
+    let prefixes = far["prefixes"].as_array().unwrap();
+    assert!(prefixes.contains(&Value::from("limits")), "{far}");
     assert!(node.is_running());
 }
 
@@ -128,7 +136,7 @@ fn requests_beyond_the_limits_get_no_answer_and_harm_nothing() {
         "rcl_interfaces/srv/GetParameters",
         &names(100),
         "--wait",
-        "3",
+        "8",
     ]);
     assert_eq!({ long }.next()["error"], "no response");
     assert!(
