@@ -27,6 +27,7 @@ mod journal;
 mod launch_configs;
 mod lens;
 mod live;
+mod memory;
 mod mesh_types;
 mod metric_peers;
 mod mips;
