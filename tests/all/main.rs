@@ -33,6 +33,7 @@ mod published;
 mod python;
 mod replay;
 mod report;
+mod stream;
 mod synth;
 mod texsmooth;
 mod textured_room;
