@@ -37,6 +37,7 @@ mod python;
 mod regions;
 mod replay;
 mod report;
+mod stream;
 mod synth;
 mod texsmooth;
 mod textured_room;

@@ -240,11 +240,6 @@ struct Sight<'a> {
 
 impl Sight<'_> {
     /// Whether a keyframe may see other parts of the triangle than before.
-    fn is_resighted_in(&self, triangle: TriangleId, frame: u32) -> bool {
-        self.dirt.resighted.contains(&frame) && self.may_differ(triangle, frame)
-    }
-
-    /// The same of any keyframe.
     fn is_resighted(&self, triangle: TriangleId) -> bool {
         let mut frames = self.dirt.resighted.iter();
         frames.any(|&frame| self.may_differ(triangle, frame))
@@ -284,10 +279,8 @@ impl Plan {
             let label = label.filter(|_| is_assigned);
             let needs_mean = label.is_none() || is_hidden;
             let sums = chart.means.remove(&number_u32);
-            let is_other = |frame: u32| {
-                turnover.moved.contains(&frame)
-                    || (is_hidden && sight.is_resighted_in(triangle, frame))
-            };
+            // What is partly hidden shows a mean too, and is painted with that.
+            let is_other = |frame: u32| turnover.moved.contains(&frame);
             let paints = is_new || label.is_some_and(is_other);
             let keeps_sums = needs_mean && !is_new && !sight.is_resighted(triangle);
             let sums = match sums {
