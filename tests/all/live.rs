@@ -5,8 +5,6 @@ mod painting;
 mod peers;
 mod raw_peer;
 mod rig;
-#[cfg(feature = "security")]
-mod security;
 mod services;
 
 use std::time::{Duration, Instant};
