@@ -6,8 +6,6 @@ mod peers;
 mod raw_peer;
 mod resumed;
 mod rig;
-#[cfg(feature = "security")]
-mod security;
 mod services;
 
 use std::time::{Duration, Instant};

@@ -87,16 +87,6 @@ impl RawPeer {
         Self::of(DomainParticipantBuilder::new(domain))
     }
 
-    /// With the keys of an enclave's folder.
-    #[cfg(feature = "security")]
-    pub(crate) fn secured(domain: u16, enclave: &Path) -> Self {
-        let files = rustdds::DomainParticipantSecurityConfigFiles::with_ros_default_names(
-            enclave,
-            String::new(),
-        );
-        Self::of(DomainParticipantBuilder::new(domain).builtin_security(files))
-    }
-
     fn of(builder: DomainParticipantBuilder) -> Self {
         let builder = builder.with_only_networks([Ipv4Addr::LOCALHOST]);
         Self {
