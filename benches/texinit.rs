@@ -104,7 +104,7 @@ impl Scan {
             match item {
                 Assembled::Frame(frame) => drop(store.offer(frame)),
                 Assembled::Mesh(update) => mesh = Some(update),
-                Assembled::Corrections(_) => {}
+                Assembled::Corrections(_) => panic!("the recording corrects no poses"),
             }
         }
         let welded = weld(&mesh.expect("the recording has a mesh"), 0.0).expect("a small mesh");
