@@ -56,12 +56,11 @@ fn every_update_of_a_growing_scan_equals_the_whole() {
 fn what_works_on_the_whole_texture_is_refused() {
     let dir = tempfile::tempdir().unwrap();
     let mut params = Config::default().pipeline;
-    params.refine.has_gain = true;
+    params.refine.has_pose = true;
     let mut source = grown_tabletop(dir.path());
     let refused = stream(&mut source, &params, 0.0, &NoProgress, &mut |_, _| ());
-    let error = refused.unwrap_err();
     assert!(matches!(
-        error,
-        PipelineError::WholeScanOnly("photometric.gain")
+        refused.err(),
+        Some(PipelineError::WholeScanOnly("photometric.pose"))
     ));
 }
