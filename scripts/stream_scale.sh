@@ -7,7 +7,7 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
-num_rooms=${1:-40}
+num_rooms=${1:-12}
 cargo build --release --locked --quiet --bin veneer --example stream_scale
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
