@@ -1,6 +1,7 @@
 //! What a camera sees of a mesh: triangle ids, depth, visibility, and the textured picture (L1).
 
 pub mod backend;
+pub mod depth_bound;
 #[cfg(feature = "gpu")]
 pub mod gpu;
 pub mod model;
@@ -10,6 +11,7 @@ pub mod textured;
 pub mod visibility;
 
 pub use backend::{Backend, GpuError, MeshViews, ViewRasterizer};
+pub use depth_bound::DepthBound;
 pub use model::render_model;
 pub use part::{BoundingBox, Frustum, MeshPart, MeshRuns};
 pub use raster::{

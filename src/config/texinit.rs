@@ -185,6 +185,26 @@ pub(super) fn occlusion_tolerance(config: &Config) -> String {
     visibility.unwrap_or_default().tolerance_m.to_string()
 }
 
+/// 0 stands for no limit.
+pub(super) fn set_far(config: &mut Config, text: &str) -> Option<()> {
+    let far_m: f64 = text.parse().ok()?;
+    if !(0.0..=1000.0).contains(&far_m) {
+        return None;
+    }
+    let far_m = if far_m > 0.0 { far_m } else { f64::INFINITY };
+    let texinit = &mut config.pipeline.texinit;
+    if let Some(visibility) = &mut texinit.assign.visibility {
+        visibility.far_m = far_m;
+    }
+    texinit.transfer.visibility.far_m = far_m;
+    Some(())
+}
+
+pub(super) fn far(config: &Config) -> String {
+    let far_m = config.pipeline.texinit.transfer.visibility.far_m;
+    if far_m.is_finite() { far_m } else { 0.0 }.to_string()
+}
+
 pub(super) fn set_relative_tolerance(config: &mut Config, text: &str) -> Option<()> {
     let assign = &mut config.pipeline.texinit.assign;
     assign.visibility.get_or_insert_default().relative_tolerance = unit_interval(text)?;

@@ -147,6 +147,8 @@ pub const PARAMETERS: &[Parameter] = &[
         Access::Custom { range: "0 ..= 1", set: texinit::set_occlusion_tolerance, get: texinit::occlusion_tolerance }),
     row("texinit.occlusion_relative_tolerance", "", "The share of depth that is added to it.",
         Access::Custom { range: "0 ..= 1", set: texinit::set_relative_tolerance, get: texinit::relative_tolerance }),
+    row("texinit.far_m", "m", "A frame paints nothing deeper than this along its axis, nor adds to means there; 0 for no limit. Mode paper has none.",
+        Access::Custom { range: "0 ..= 1000", set: texinit::set_far, get: texinit::far }),
     row("texinit.depth_edge_penalty", "", "Taken off for a depth edge nearby.",
         Float32(|c| &mut c.pipeline.texinit.assign.depth_edge_penalty, 0.0, 100.0)),
     row("texinit.border_margin", "", "Vertices keep this share of the image's width from its border.",

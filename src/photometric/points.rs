@@ -122,7 +122,8 @@ fn look(
 ) -> Option<Vec<(u32, [f64; 3])>> {
     let camera = &frame.color_camera;
     let camera_from_world = keyframe.world_from_camera.inverse();
-    let part = runs.in_view(camera, &camera_from_world);
+    let far_m = params.visibility.far_m;
+    let part = runs.in_view(camera, &camera_from_world, far_m);
     buffer
         .update_part(mesh, &part, camera, &camera_from_world, &params.visibility)
         .ok()?;

@@ -193,7 +193,7 @@ impl MeshViews<'_> {
         camera_from_world: &RigidTransform,
         out: &mut ViewBuffer,
     ) -> Result<(), GpuError> {
-        let part = self.runs.in_view(camera, camera_from_world);
+        let part = self.runs.in_view(camera, camera_from_world, f64::INFINITY);
         #[cfg(feature = "gpu")]
         if let Some(gpu) = &mut self.gpu {
             match gpu.rasterize(self.mesh, &part, camera, camera_from_world, out) {

@@ -61,11 +61,14 @@ impl BoundingBox {
 pub struct Frustum {
     /// Inside: normal · point + offset ≥ 0. The first is depth along the camera's axis.
     half_spaces: [(Vector3<f64>, f64); 5],
+    /// Depth along the camera's axis of what is still looked at, metres.
+    far_m: f64,
 }
 
 impl Frustum {
-    /// The view of a camera, somewhat widened: what rounding may put into the image is inside.
-    pub fn new(camera: &PinholeCamera, camera_from_world: &RigidTransform) -> Self {
+    /// The view of a camera up to a depth of `far_m` metres (infinite for no end), somewhat widened:
+    /// what rounding may put into the image is inside.
+    pub fn new(camera: &PinholeCamera, camera_from_world: &RigidTransform, far_m: f64) -> Self {
         let [fx, fy, cx, cy] = camera.intrinsics_px();
         let right = f64::from(camera.width() - 1) + MARGIN_PX - cx;
         let bottom = f64::from(camera.height() - 1) + MARGIN_PX - cy;
@@ -81,7 +84,7 @@ impl Frustum {
             let in_world = world_from_camera.transform_vector(&normal);
             (in_world, normal.dot(camera_from_world.translation()))
         });
-        Self { half_spaces }
+        Self { half_spaces, far_m }
     }
 
     /// Least depth of the box along the camera's axis, metres; negative behind the camera.
@@ -99,7 +102,9 @@ impl Frustum {
             let slack = 1e-9 * (reach + center.abs() + offset.abs());
             center + reach + offset < -slack
         });
-        !is_outside
+        // Widened by far more than rounding.
+        let is_too_far = self.nearest_m(bounds) > self.far_m * (1.0 + 1e-6);
+        !is_outside && !is_too_far
     }
 }
 
@@ -229,13 +234,19 @@ impl MeshRuns {
         runs
     }
 
-    /// What the camera may see: every triangle that is drawn, or lies in the image, is among it.
+    /// What the camera may see up to a depth of `far_m` metres: every triangle that is drawn, or lies
+    /// in the image, up to there is among it.
     #[expect(
         clippy::cast_possible_truncation,
         reason = "a mesh has at most 2³² triangles"
     )]
-    pub fn in_view(&self, camera: &PinholeCamera, camera_from_world: &RigidTransform) -> MeshPart {
-        let frustum = Frustum::new(camera, camera_from_world);
+    pub fn in_view(
+        &self,
+        camera: &PinholeCamera,
+        camera_from_world: &RigidTransform,
+        far_m: f64,
+    ) -> MeshPart {
+        let frustum = Frustum::new(camera, camera_from_world, far_m);
         let mut part = MeshPart::default();
         let mut by_depth = vec![];
         let block_size = BLOCK_SIZE as usize;
@@ -333,7 +344,7 @@ mod tests {
                 UnitQuaternion::from_euler_angles(angles[0], angles[1], angles[2]),
                 Vector3::from(position),
             );
-            let part = runs.in_view(&camera, &pose);
+            let part = runs.in_view(&camera, &pose, f64::INFINITY);
             let mut workspace = RasterWorkspace::default();
             let [mut whole, mut seen] = [ViewBuffer::default(), ViewBuffer::default()];
             rasterize(&mesh, &camera, &pose, &mut workspace, &mut whole);
@@ -359,7 +370,9 @@ mod tests {
         let num = |z: f64| {
             let pose =
                 RigidTransform::from_parts(UnitQuaternion::identity(), Vector3::new(0.0, 0.0, z));
-            runs.in_view(&camera, &pose).triangles(&mesh).count()
+            runs.in_view(&camera, &pose, f64::INFINITY)
+                .triangles(&mesh)
+                .count()
         };
         assert!(num(0.0) > 0 && 3 * num(0.0) < mesh.num_triangles());
         assert_eq!(num(-3.0), 0);
@@ -369,7 +382,7 @@ mod tests {
         );
         let empty = TriMesh::default();
         assert_eq!(
-            MeshRuns::new(&empty).in_view(&camera, &RigidTransform::identity()),
+            MeshRuns::new(&empty).in_view(&camera, &RigidTransform::identity(), f64::INFINITY),
             MeshPart::default()
         );
     }

@@ -16,6 +16,7 @@ use crate::geom::camera::CameraError;
 use crate::geom::{PinholeCamera, RigidTransform};
 use crate::mesh::TriMesh;
 
+use super::depth_bound::DepthBound;
 use super::part::MeshPart;
 use super::raster::{NO_TRIANGLE, RasterWorkspace, ViewBuffer, rasterize_part};
 
@@ -33,6 +34,9 @@ pub struct VisibilityParams {
     /// Half-width of the window in which depth edges are looked for, in pixels of a buffer of 640
     /// columns; 0 looks for none.
     pub edge_margin_px: u32,
+    /// Surface deeper than this along the camera's axis is as if it were not there: nothing of it is
+    /// visible, and it is no background; metres (> 0, infinite for no limit).
+    pub far_m: f64,
 }
 
 impl Default for VisibilityParams {
@@ -43,6 +47,7 @@ impl Default for VisibilityParams {
             relative_tolerance: 0.01,
             edge_step: 0.04,
             edge_margin_px: 3,
+            far_m: 8.0,
         }
     }
 }
@@ -55,6 +60,12 @@ impl VisibilityParams {
         u32::try_from(reference.div_ceil(640))
             .unwrap_or(u32::MAX)
             .clamp(1, 64)
+    }
+
+    /// How far behind the surface drawn a point at a depth may lie and still be visible, metres, where
+    /// its own surface's depth changes by `slope_m` metres within what rounding to pixels does.
+    pub(super) fn tolerance_m(&self, depth_m: f64, slope_m: f64) -> f64 {
+        self.tolerance_m + self.relative_tolerance * depth_m + slope_m
     }
 
     /// How far from its outline a surface shows in what the tests say of others, pixels of the
@@ -89,17 +100,13 @@ pub struct VisibilityBuffer {
     /// Greatest depth within the window; 0 where it is empty.
     farthest_m: Vec<f32>,
     scratch_m: Vec<f32>,
-    /// Greatest depth within each block of the view; infinite where a pixel of it is empty.
-    block_farthest_m: Vec<f32>,
+    bound: DepthBound,
     scale: [f64; 2],
     params: VisibilityParams,
 }
 
-/// Side of the blocks that [`VisibilityBuffer::hides_all`] looks at, pixels of the buffer.
+/// Side of the blocks of the bound, pixels of the buffer.
 const BLOCK_PX: usize = 4;
-
-/// Triangles over more blocks than this are not looked at.
-const MAX_BLOCKS: usize = 256;
 
 impl VisibilityBuffer {
     /// Draws the mesh as `camera` sees it.
@@ -145,7 +152,8 @@ impl VisibilityBuffer {
             f64::from(height) / f64::from(camera.height()),
         ];
         self.params = params.clone();
-        self.fill_blocks();
+        self.drop_far();
+        self.bound.update(&self.view, self.scale, BLOCK_PX);
         if params.edge_margin_px > 0 {
             self.spread_extremes();
         }
@@ -162,8 +170,12 @@ impl VisibilityBuffer {
         self.scale[0] * self.scale[1]
     }
 
-    /// Whether nothing hides the point. Points whose pixel is outside of the image are hidden.
+    /// Whether nothing hides the point. Points too far, or whose pixel is outside of the image, are
+    /// hidden.
     pub fn is_visible(&self, point: &SurfacePoint) -> bool {
+        if point.depth_m > self.params.far_m {
+            return false;
+        }
         self.pixel_index(point.position_px).is_some_and(|index| {
             let surface_m = f64::from(self.view.depth_m[index]);
             self.view.triangle[index] == NO_TRIANGLE
@@ -187,81 +199,25 @@ impl VisibilityBuffer {
         })
     }
 
-    /// Whether every point of a triangle is hidden, or outside of the image: then
-    /// [`Self::is_visible`] is false for all of them. A quick test that says no when in doubt.
-    /// Corners are in pixels of the full-size camera, all in front of it.
-    #[expect(
-        clippy::cast_possible_truncation,
-        clippy::cast_sign_loss,
-        reason = "clamped to the buffer before the casts"
-    )]
-    pub fn hides_all(&self, corners_px: &[[f64; 2]; 3], nearest_m: f64, slope_m: f64) -> bool {
-        let sides = [self.view.width, self.view.height].map(f64::from);
-        let mut blocks = [[0usize; 2]; 2];
-        for axis in 0..2 {
-            let values = corners_px.map(|corner| (corner[axis] + 0.5) * self.scale[axis]);
-            let low = values.into_iter().fold(f64::INFINITY, f64::min) - 1.0;
-            let high = values.into_iter().fold(f64::NEG_INFINITY, f64::max) + 1.0;
-            if !(low.is_finite() && high.is_finite()) {
-                return false;
-            }
-            if high < 0.0 || low >= sides[axis] {
-                return true;
-            }
-            let block = |v: f64| v.clamp(0.0, sides[axis] - 1.0) as usize / BLOCK_PX;
-            blocks[axis] = [block(low), block(high)];
-        }
-        let [[left, right], [top, bottom]] = blocks;
-        if (right - left + 1) * (bottom - top + 1) > MAX_BLOCKS {
-            return false;
-        }
-        let reach = SurfacePoint {
-            position_px: [0.0; 2],
-            depth_m: nearest_m,
-            slope_m,
-        };
-        // The tolerance grows more slowly than depth (a share below 1), so the nearest point is the
-        // last to be hidden.
-        let bound_m = nearest_m - self.tolerance_m(&reach, 1.5);
-        let columns = (self.view.width as usize).div_ceil(BLOCK_PX);
-        self.params.relative_tolerance < 1.0
-            && (top..=bottom).all(|row| {
-                self.block_farthest_m[row * columns + left..=row * columns + right]
-                    .iter()
-                    .all(|&farthest_m| f64::from(farthest_m) < bound_m)
-            })
+    /// How far it sees at most.
+    pub fn depth_bound(&self) -> &DepthBound {
+        &self.bound
     }
 
-    fn fill_blocks(&mut self) {
-        let width = self.view.width as usize;
-        let columns = width.div_ceil(BLOCK_PX);
-        self.block_farthest_m.clear();
-        if width == 0 {
-            return;
-        }
-        for rows in self.view.depth_m.chunks(BLOCK_PX * width) {
-            let start = self.block_farthest_m.len();
-            self.block_farthest_m.resize(start + columns, 0.0);
-            let blocks = &mut self.block_farthest_m[start..];
-            for row in rows.chunks_exact(width) {
-                for (block, pixels) in blocks.iter_mut().zip(row.chunks(BLOCK_PX)) {
-                    for &depth_m in pixels {
-                        let depth_m = if depth_m > 0.0 {
-                            depth_m
-                        } else {
-                            f32::INFINITY
-                        };
-                        *block = block.max(depth_m);
-                    }
-                }
-            }
+    /// Leaves pixels empty that show what is too far: which of it was drawn depends on how the mesh
+    /// is divided into runs, and must not show.
+    fn drop_far(&mut self) {
+        let far_m = self.params.far_m;
+        let pixels = self.view.triangle.iter_mut().zip(&mut self.view.depth_m);
+        for (triangle, depth_m) in pixels.filter(|(_, depth_m)| f64::from(**depth_m) > far_m) {
+            *triangle = NO_TRIANGLE;
+            *depth_m = 0.0;
         }
     }
 
     fn tolerance_m(&self, point: &SurfacePoint, reach_px: f64) -> f64 {
-        self.params.tolerance_m
-            + self.params.relative_tolerance * point.depth_m
-            + point.slope_m * reach_px / self.scale[0].min(self.scale[1]).max(1e-9)
+        let slope_m = point.slope_m * reach_px / self.bound.least_scale();
+        self.params.tolerance_m(point.depth_m, slope_m)
     }
 
     #[expect(
@@ -456,7 +412,10 @@ mod tests {
             let corners = [[0.0, 0.0], [size_m, 0.0], [0.0, size_m]]
                 .map(|[x, y]| Point3::new(center[0] + x, center[1] + y, depth_m));
             let px = corners.map(|p| camera.project(&p).unwrap());
-            if buffer.hides_all(&px, depth_m, slope_m) {
+            let (bound, params) = (buffer.depth_bound(), VisibilityParams::default());
+            let is_hidden = bound.hides(&px, depth_m, slope_m, &params);
+            prop_assert!(is_hidden || !bound.coarser(2).hides(&px, depth_m, slope_m, &params));
+            if is_hidden {
                 for i in 0..=10 {
                     for j in 0..=10 - i {
                         let (u, v) = (f64::from(i) / 10.0, f64::from(j) / 10.0);
@@ -478,9 +437,33 @@ mod tests {
         let camera = PinholeCamera::new([300.0, 300.0, 160.0, 120.0], 320, 240).unwrap();
         let buffer = buffer(&camera);
         let corners_px = [[100.0, 100.0], [120.0, 100.0], [100.0, 120.0]];
-        assert!(buffer.hides_all(&corners_px, 3.5, 0.001));
-        assert!(!buffer.hides_all(&corners_px, 3.0, 0.001));
-        assert!(!buffer.hides_all(&corners_px, 3.5, f64::INFINITY));
+        let params = VisibilityParams::default();
+        let hides = |depth_m, slope_m| {
+            let bound = buffer.depth_bound();
+            bound.hides(&corners_px, depth_m, slope_m, &params)
+        };
+        assert!(hides(3.5, 0.001));
+        assert!(!hides(3.0, 0.001));
+        assert!(!hides(3.5, f64::INFINITY));
+    }
+
+    #[test]
+    fn what_is_too_far_is_as_if_it_were_not_there() {
+        let camera = PinholeCamera::new([300.0, 300.0, 160.0, 120.0], 320, 240).unwrap();
+        let mut buffer = buffer(&camera);
+        let point = seen(&camera, [0.9, 0.0, 3.0]);
+        assert!(buffer.is_visible(&point));
+        let params = VisibilityParams {
+            far_m: 2.5,
+            ..VisibilityParams::default()
+        };
+        buffer
+            .update(&scene(), &camera, &RigidTransform::identity(), &params)
+            .unwrap();
+        assert!(!buffer.is_visible(&point));
+        assert!(buffer.view().depth_m.iter().all(|depth_m| *depth_m < 2.5));
+        let rim = seen(&camera, [0.197, 0.0, 2.0]);
+        assert!(buffer.is_visible(&rim) && !buffer.is_near_depth_edge(&rim));
     }
 
     #[test]

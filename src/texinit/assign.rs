@@ -184,6 +184,12 @@ impl AssignParams {
         }
     }
 
+    /// Depth of what a frame may paint, metres; infinite where the mesh hides nothing.
+    pub(crate) fn far_m(&self) -> f64 {
+        let visibility = self.visibility.as_ref();
+        visibility.map_or(f64::INFINITY, |visibility| visibility.far_m)
+    }
+
     pub(crate) fn check(&self) -> Result<(), AssignError> {
         let rules = [
             ("area_weight", self.area_weight, self.area_weight >= 0.0),

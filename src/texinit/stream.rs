@@ -26,7 +26,7 @@
 //! charts are made anew.
 //!
 //! Memory, [`StreamInit::num_bytes`]: 8 bytes per texel of the pages, 16 per triangle and keyframe that
-//! may paint it, 16 per texel that shows a mean, and some 300 per triangle.
+//! may paint it, 16 per texel that shows a mean, some 300 per triangle, and 20 kB per keyframe.
 
 mod charts;
 mod cover;
@@ -35,6 +35,7 @@ mod placing;
 mod repaint;
 mod scores;
 mod surface;
+mod view;
 
 use std::sync::Arc;
 
@@ -263,6 +264,19 @@ impl StreamInit {
         Ok(update)
     }
 
+    /// How deep a keyframe looks, for scores or for means, metres.
+    fn far_m(&self) -> f64 {
+        let params = &self.params;
+        params.assign.far_m().max(params.transfer.far_m())
+    }
+
+    /// Whether how far keyframes see is kept: one drawing must tell it for scores and for means.
+    fn has_bounds(&self) -> bool {
+        let means = &self.params.transfer.visibility;
+        let scores = self.params.assign.visibility.as_ref();
+        scores.is_some_and(|scores| scores.max_width_px == means.max_width_px)
+    }
+
     /// Forgets all.
     fn clear(&mut self) {
         self.given = None;
@@ -321,7 +335,7 @@ impl StreamInit {
     pub fn num_bytes(&self) -> usize {
         let pages = self.texture.pages.iter().map(|page| 8 * page.srgb.len());
         let charts = self.charts.iter().map(StreamChart::num_bytes);
-        pages.sum::<usize>() + charts.sum::<usize>()
+        pages.sum::<usize>() + charts.sum::<usize>() + self.frames.num_bytes()
     }
 
     /// Names what the update changed, for those who publish it.

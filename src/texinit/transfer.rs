@@ -35,7 +35,7 @@ use crate::atlas::{AtlasLayout, AtlasTexture, TexelSource, TexturePage};
 use crate::geom::{ImageError, PinholeCamera, RigidTransform};
 use crate::keyframe::{DecodedFrame, Keyframe};
 use crate::mesh::{TriMesh, TriangleId};
-use crate::render::{Frustum, MeshRuns, VisibilityBuffer, VisibilityParams};
+use crate::render::{DepthBound, MeshRuns, VisibilityBuffer, VisibilityParams};
 
 use super::assign::{Assignment, FailedFrame, FramePose};
 use mean::CameraSight;
@@ -120,6 +120,14 @@ impl TransferParams {
             lookup: Lookup::NearestAffine,
             mean_form: MeanForm::Projecting,
             ..Self::default()
+        }
+    }
+
+    /// Depth of what a mean takes in, metres.
+    pub(crate) fn far_m(&self) -> f64 {
+        match self.mean_form {
+            MeanForm::Seeing => self.visibility.far_m,
+            MeanForm::Projecting => f64::INFINITY,
         }
     }
 }
@@ -235,7 +243,7 @@ pub(crate) fn transfer_poses(
             texels: means,
             counts: vec![true; frames.len()],
         }],
-        cameras: None,
+        known: None,
     };
     let (_, report) = painter.paint_all(job, frames, decode, progress, &mut pages);
     Ok((AtlasTexture { pages }, report))
@@ -247,9 +255,17 @@ pub(crate) struct PaintJob<'a> {
     pub(crate) by_frame: Vec<Vec<TriangleId>>,
     /// Triangles that show a mean where no frame paints them.
     pub(crate) means: Vec<MeanJob>,
-    /// Per frame, its camera, where that is known before the frame is decoded: what neither paints a
-    /// triangle nor sees one with a mean is then not decoded.
-    pub(crate) cameras: Option<&'a [Option<PinholeCamera>]>,
+    /// Per frame, what is known before it is decoded: what neither paints a triangle nor sees one with
+    /// a mean is then not decoded.
+    pub(crate) known: Option<&'a [KnownSight]>,
+}
+
+/// What is known of a frame.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct KnownSight {
+    pub(crate) camera: Option<PinholeCamera>,
+    /// How far it sees at most, in a buffer of the size that means use.
+    pub(crate) bound: Option<Arc<DepthBound>>,
 }
 
 /// Means over some of the frames.
@@ -406,6 +422,20 @@ impl Painter<'_> {
         (job.means, report)
     }
 
+    fn sight<'b>(
+        &'b self,
+        camera: &'b PinholeCamera,
+        pose: &'b CameraPose,
+        bound: Option<&'b DepthBound>,
+    ) -> CameraSight<'b> {
+        CameraSight {
+            camera,
+            pose,
+            bound,
+            params: self.params,
+        }
+    }
+
     /// Decodes the frame and paints its triangles; nothing when no texel needs it.
     fn look<'b>(
         &self,
@@ -420,10 +450,11 @@ impl Painter<'_> {
         let camera_pose = CameraPose::new(pose.world_from_camera.inverse());
         let camera_from_world = &camera_pose.camera_from_world;
         let any_mean_in = |camera: &PinholeCamera| {
-            let frustum = Frustum::new(camera, camera_from_world);
-            means().any(|means| means.texels.any_in_view(self.mesh, &frustum))
+            let bound = job.known.and_then(|known| known[index].bound.as_deref());
+            let sight = self.sight(camera, &camera_pose, bound);
+            means().any(|means| means.texels.any_visible(self.mesh, &sight))
         };
-        let known = job.cameras.and_then(|cameras| cameras[index]);
+        let known = job.known.and_then(|known| known[index].camera);
         let may_need_mean = match known {
             Some(camera) => any_mean_in(&camera),
             None => means().any(|means| !means.texels.is_empty()),
@@ -442,18 +473,15 @@ impl Painter<'_> {
         let is_seeing = self.params.mean_form == MeanForm::Seeing;
         let mut visibility = None;
         if any_hidden || is_seeing && any_mean_in(&camera) {
-            let part = self.runs.in_view(&camera, camera_from_world);
             let params = &self.params.visibility;
+            let part = self.runs.in_view(&camera, camera_from_world, params.far_m);
             buffer
                 .update_part(self.mesh, &part, &camera, camera_from_world, params)
                 .map_err(|error| error.to_string())?;
             visibility = Some(&*buffer);
         }
-        let sight = CameraSight {
-            camera: &camera,
-            pose: &camera_pose,
-            visibility: visibility.filter(|_| is_seeing),
-        };
+        let bound = visibility.map(VisibilityBuffer::depth_bound);
+        let sight = self.sight(&camera, &camera_pose, bound);
         let any_visible = || means().any(|m| m.texels.any_visible(self.mesh, &sight));
         if known.is_some() && triangles.is_empty() && !any_visible() {
             return Ok(None);

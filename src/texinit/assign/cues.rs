@@ -3,7 +3,7 @@
 use crate::geom::camera::CameraError;
 use crate::keyframe::DecodedFrame;
 use crate::mesh::TriMesh;
-use crate::render::{MeshPart, MeshRuns, VisibilityBuffer};
+use crate::render::{DepthBound, MeshPart, MeshRuns, VisibilityBuffer};
 
 use super::validity::{
     DepthProbe, TriangleView, TriangleVisibility, VertexView, depth_difference_m, view_vertices,
@@ -80,6 +80,13 @@ pub(crate) struct FrameWorkspace {
     visibility: VisibilityBuffer,
 }
 
+impl FrameWorkspace {
+    /// How far the frame sees at most that was scored last, with visibility.
+    pub(crate) fn depth_bound(&self) -> &DepthBound {
+        self.visibility.depth_bound()
+    }
+}
+
 /// Scores every triangle that the frame may paint.
 pub(crate) fn score_frame(
     mesh: &TriMesh,
@@ -90,7 +97,7 @@ pub(crate) fn score_frame(
     workspace: &mut FrameWorkspace,
 ) -> Result<FrameCandidates, CameraError> {
     let camera_from_world = pose.world_from_camera.inverse();
-    let in_view = runs.in_view(&frame.color_camera, &camera_from_world);
+    let in_view = runs.in_view(&frame.color_camera, &camera_from_world, params.far_m());
     score_part(mesh, &in_view, &in_view, pose, frame, params, workspace)
 }
 

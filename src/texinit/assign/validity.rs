@@ -58,6 +58,7 @@ pub(crate) fn view_vertices(
     let rotation = camera_from_world.rotation().to_rotation_matrix();
     let translation = camera_from_world.translation();
     let border_px = f64::from(params.border_margin) * f64::from(camera.width());
+    let far_m = params.far_m();
     part.map_vertices(mesh, out, |position| {
         let point_in_camera = Point3::from(rotation * position.coords + translation);
         let mut view = VertexView {
@@ -66,7 +67,7 @@ pub(crate) fn view_vertices(
         };
         let Some(position_px) = camera
             .project(&point_in_camera)
-            .filter(|px| is_inside(camera, *px, border_px))
+            .filter(|px| point_in_camera.z <= far_m && is_inside(camera, *px, border_px))
         else {
             return view;
         };

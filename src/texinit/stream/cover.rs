@@ -3,7 +3,9 @@
 use nalgebra::Point3;
 
 use crate::geom::{PinholeCamera, RigidTransform};
-use crate::render::{BoundingBox, Frustum};
+use crate::render::{BoundingBox, DepthBound};
+
+use super::view::KnownView;
 
 /// Triangles that share a box.
 const CHUNK_SIZE: usize = 64;
@@ -14,13 +16,58 @@ const NEAR_M: f64 = 0.05;
 
 /// Surface that came or went.
 pub(super) struct TouchedSurface<'a> {
+    gone: Soup<'a>,
+    came: Soup<'a>,
+}
+
+impl<'a> TouchedSurface<'a> {
+    pub(super) fn new(gone: &'a [[Point3<f64>; 3]], came: &'a [[Point3<f64>; 3]]) -> Self {
+        Self {
+            gone: Soup::new(gone),
+            came: Soup::new(came),
+        }
+    }
+
+    /// The part of an image within `reach_px` of what shows of it; `None` where nothing does. `bound`,
+    /// how far the view saw before, is brought up to what is there now.
+    pub(super) fn cover(
+        &self,
+        view: &KnownView<'_>,
+        reach_px: f64,
+        bound: &mut Option<DepthBound>,
+    ) -> Option<Cover> {
+        let mut cover = Cover::empty(view.camera, view.camera_from_world);
+        let mut lifted = Vec::new();
+        self.gone.each_in(view, |corners| {
+            // What was hidden may be behind other surface that went: it is judged by what was there.
+            if !view.hides(corners, bound.as_ref()) {
+                cover.add(corners, reach_px);
+                lifted.push(view.corners_px(corners));
+            }
+        });
+        if let Some(bound) = bound {
+            for corners_px in &lifted {
+                bound.lift(corners_px.as_ref());
+            }
+        }
+        self.came.each_in(view, |corners| {
+            if !view.hides(corners, bound.as_ref()) {
+                cover.add(corners, reach_px);
+            }
+        });
+        cover.is_in.contains(&true).then_some(cover)
+    }
+}
+
+/// Triangles in space.
+struct Soup<'a> {
     triangles: &'a [[Point3<f64>; 3]],
     /// Of each chunk of triangles.
     bounds: Vec<BoundingBox>,
 }
 
-impl<'a> TouchedSurface<'a> {
-    pub(super) fn new(triangles: &'a [[Point3<f64>; 3]]) -> Self {
+impl<'a> Soup<'a> {
+    fn new(triangles: &'a [[Point3<f64>; 3]]) -> Self {
         let chunks = triangles.chunks(CHUNK_SIZE);
         Self {
             bounds: chunks
@@ -30,22 +77,11 @@ impl<'a> TouchedSurface<'a> {
         }
     }
 
-    /// The part of an image within `reach_px` of it; `None` where it is out of view.
-    pub(super) fn cover(
-        &self,
-        camera: &PinholeCamera,
-        camera_from_world: &RigidTransform,
-        reach_px: f64,
-    ) -> Option<Cover> {
-        let frustum = Frustum::new(camera, camera_from_world);
-        let mut cover = Cover::empty(camera, camera_from_world);
+    fn each_in(&self, view: &KnownView<'_>, mut each: impl FnMut(&[Point3<f64>; 3])) {
         let chunks = self.triangles.chunks(CHUNK_SIZE).zip(&self.bounds);
-        for (triangles, _) in chunks.filter(|(_, bounds)| frustum.may_see(bounds)) {
-            for corners in triangles {
-                cover.add(corners, reach_px);
-            }
+        for (triangles, _) in chunks.filter(|(_, bounds)| view.frustum.may_see(bounds)) {
+            triangles.iter().for_each(&mut each);
         }
-        cover.is_in.contains(&true).then_some(cover)
     }
 }
 
@@ -167,6 +203,7 @@ impl Cover {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::render::VisibilityParams;
     use nalgebra::Vector3;
 
     fn camera() -> PinholeCamera {
@@ -177,22 +214,30 @@ mod tests {
         [[0.0, 0.0], [0.1, 0.0], [0.0, 0.1]].map(|[dx, dy]| Point3::new(x + dx, y + dy, z))
     }
 
+    fn cover_of(touched: &TouchedSurface<'_>, pose: &RigidTransform) -> Option<Cover> {
+        let (camera, params) = (camera(), VisibilityParams::default());
+        let view = KnownView::new(&camera, pose, 8.0, &params);
+        touched.cover(&view, 3.0, &mut None)
+    }
+
     #[test]
     fn what_lies_behind_or_near_meets_and_what_is_far_off_does_not() {
         let identity = RigidTransform::identity();
         let touched = [triangle(0.0, 0.0, 1.0)];
-        let surface = TouchedSurface::new(&touched);
-        let cover = surface.cover(&camera(), &identity, 3.0).unwrap();
-        assert!(cover.meets(&triangle(0.0, 0.0, 4.0)));
-        // 14 px right of it, then 2 px: within reach.
-        assert!(!cover.meets(&triangle(0.24, 0.0, 1.0)));
-        assert!(cover.meets(&triangle(0.12, 0.0, 1.0)));
-        assert!(!cover.meets(&triangle(0.0, 0.0, -1.0)));
-        // A triangle that reaches behind the camera through the image may be anywhere in it, one
-        // beside the image is not in it.
-        let corners = |x: f64| [[x, 0.0, -1.0], [x, 0.1, 1.0], [x, 9.0, 1.0]].map(Point3::from);
-        assert!(cover.meets(&corners(0.1)));
-        assert!(!cover.meets(&corners(9.0)));
+        for touched in [[&touched[..], &[]], [&[], &touched[..]]] {
+            let touched = TouchedSurface::new(touched[0], touched[1]);
+            let cover = cover_of(&touched, &identity).unwrap();
+            assert!(cover.meets(&triangle(0.0, 0.0, 4.0)));
+            // 14 px right of it, then 2 px: within reach.
+            assert!(!cover.meets(&triangle(0.24, 0.0, 1.0)));
+            assert!(cover.meets(&triangle(0.12, 0.0, 1.0)));
+            assert!(!cover.meets(&triangle(0.0, 0.0, -1.0)));
+            // A triangle that reaches behind the camera through the image may be anywhere in it, one
+            // beside the image is not in it.
+            let corners = |x: f64| [[x, 0.0, -1.0], [x, 0.1, 1.0], [x, 9.0, 1.0]].map(Point3::from);
+            assert!(cover.meets(&corners(0.1)));
+            assert!(!cover.meets(&corners(9.0)));
+        }
     }
 
     #[test]
@@ -202,15 +247,39 @@ mod tests {
             Vector3::zeros(),
         );
         let touched = [triangle(0.0, 0.0, 1.0)];
-        assert!(
-            TouchedSurface::new(&touched)
-                .cover(&camera(), &turned, 3.0)
-                .is_none()
-        );
-        assert!(
-            TouchedSurface::new(&[])
-                .cover(&camera(), &turned, 3.0)
-                .is_none()
-        );
+        assert!(cover_of(&TouchedSurface::new(&touched, &[]), &turned).is_none());
+        let identity = RigidTransform::identity();
+        assert!(cover_of(&TouchedSurface::new(&[], &[]), &identity).is_none());
+        let far = [triangle(0.0, 0.0, 8.5)];
+        assert!(cover_of(&TouchedSurface::new(&far, &far), &identity).is_none());
+    }
+
+    #[test]
+    fn hidden_surface_covers_nothing_until_what_hides_it_goes() {
+        use crate::mesh::TriMesh;
+        use crate::render::VisibilityBuffer;
+        let wall = [[-9.0, -9.0], [9.0, -9.0], [0.0, 9.0]].map(|[x, y]| Point3::new(x, y, 2.0));
+        let (mesh, _) = TriMesh::from_soup(wall.to_vec(), vec![[0, 1, 2]]).unwrap();
+        let (camera, params) = (camera(), VisibilityParams::default());
+        let identity = RigidTransform::identity();
+        let mut buffer = VisibilityBuffer::default();
+        buffer.update(&mesh, &camera, &identity, &params).unwrap();
+        let view = KnownView::new(&camera, &identity, 8.0, &params);
+        let behind = [triangle(0.0, 0.0, 4.0)];
+        let mut bound = Some(buffer.depth_bound().clone());
+        for touched in [[&behind[..], &[]], [&[], &behind[..]]] {
+            let touched = TouchedSurface::new(touched[0], touched[1]);
+            assert!(touched.cover(&view, 3.0, &mut bound).is_none());
+        }
+        // It comes while a piece of the wall goes.
+        let before = [triangle(0.0, 0.0, 2.0)];
+        let touched = TouchedSurface::new(&before, &behind);
+        let mut cover = touched.cover(&view, 3.0, &mut bound).unwrap();
+        assert!(cover.meets(&behind[0]));
+        // From now on nothing hides it.
+        cover = TouchedSurface::new(&[], &behind)
+            .cover(&view, 3.0, &mut bound)
+            .unwrap();
+        assert!(cover.meets(&behind[0]));
     }
 }

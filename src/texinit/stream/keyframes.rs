@@ -7,7 +7,7 @@ use super::surface::SurfaceChange;
 use super::{StreamInit, StreamUpdate};
 use crate::geom::PinholeCamera;
 use crate::keyframe::Keyframe;
-use crate::render::Frustum;
+use crate::render::{DepthBound, Frustum};
 use crate::texinit::assign::quality::TypicalQuality;
 use crate::texinit::assign::{FailedFrame, FramePose};
 
@@ -19,15 +19,18 @@ pub(super) struct KnownFrame {
     pub(super) camera: Option<PinholeCamera>,
     /// Why it cannot be used.
     pub(super) failure: Option<String>,
+    /// How far it sees at most, once it was drawn.
+    pub(super) bound: Option<Arc<DepthBound>>,
 }
 
 impl KnownFrame {
-    /// What it may see; `None` before it is decoded, or when it cannot be.
-    pub(super) fn frustum(&self) -> Option<Frustum> {
+    /// What it may see up to a depth; `None` before it is decoded, or when it cannot be.
+    pub(super) fn frustum(&self, far_m: f64) -> Option<Frustum> {
         let camera = self.camera.filter(|_| self.failure.is_none())?;
         Some(Frustum::new(
             &camera,
             &self.pose.world_from_camera.inverse(),
+            far_m,
         ))
     }
 }
@@ -60,6 +63,11 @@ impl KnownFrames {
 
     pub(super) fn get_mut(&mut self, number: u32) -> Option<&mut KnownFrame> {
         self.by_number.get_mut(&number)
+    }
+
+    pub(super) fn num_bytes(&self) -> usize {
+        let bounds = self.by_number.values().flat_map(|frame| &frame.bound);
+        bounds.map(|bound| bound.num_bytes()).sum()
     }
 
     pub(super) fn num_usable(&self) -> usize {
@@ -103,7 +111,11 @@ impl StreamInit {
                 Some(moved) => {
                     turnover.moved.insert(number);
                     self.forget(number, &moved, change);
-                    KnownFrame { pose, ..moved }
+                    KnownFrame {
+                        pose,
+                        bound: None,
+                        ..moved
+                    }
                 }
                 None => {
                     turnover.added.insert(number);
@@ -111,6 +123,7 @@ impl StreamInit {
                         pose,
                         camera: None,
                         failure: None,
+                        bound: None,
                     }
                 }
             };
@@ -127,7 +140,7 @@ impl StreamInit {
 
     /// Forgets what a keyframe says of the charts.
     pub(super) fn forget(&mut self, number: u32, known: &KnownFrame, change: &mut SurfaceChange) {
-        let Some(frustum) = known.frustum() else {
+        let Some(frustum) = known.frustum(self.far_m()) else {
             return;
         };
         for (chart, dirt) in self.charts.iter_mut().zip(&mut change.dirt) {

@@ -11,12 +11,13 @@ use super::surface::SurfaceChange;
 use super::{StreamInit, StreamUpdate};
 use crate::atlas::gutter::dilate_gutters_of;
 use crate::atlas::{TexelSource, TexturePage, for_each_texel_within};
-use crate::geom::PinholeCamera;
 use crate::keyframe::Keyframe;
 use crate::mesh::{TriMesh, TriangleId};
 use crate::texinit::assign::{Assignment, FramePose};
 use crate::texinit::fill::{Coverage, Surface, fill_triangles, regions_at};
-use crate::texinit::transfer::{MeanJob, MeanTexels, PaintJob, Painter, TexelSum, TransferMode};
+use crate::texinit::transfer::{
+    KnownSight, MeanJob, MeanTexels, PaintJob, Painter, TexelSum, TransferMode,
+};
 use crate::texinit::{Decode, Observer};
 
 /// What was painted.
@@ -109,8 +110,14 @@ impl StreamInit {
             .iter()
             .map(|frame| known(frame).is_some_and(|known| known.failure.is_none()))
             .collect();
-        let cameras: Vec<Option<PinholeCamera>> =
-            frames.iter().map(|frame| known(frame)?.camera).collect();
+        let sight = |frame| {
+            let known = known(frame);
+            KnownSight {
+                camera: known.and_then(|known| known.camera),
+                bound: known.and_then(|known| known.bound.clone()),
+            }
+        };
+        let sights: Vec<KnownSight> = frames.iter().map(sight).collect();
         let is_added = frames.iter().zip(&is_usable);
         let is_added: Vec<bool> = is_added
             .map(|(frame, is_usable)| *is_usable && turnover.added.contains(&frame.id.0))
@@ -139,7 +146,7 @@ impl StreamInit {
                     counts: is_added,
                 },
             ],
-            cameras: Some(&cameras),
+            known: Some(&sights),
         };
         let painter = Painter {
             mesh,

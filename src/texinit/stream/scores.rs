@@ -8,16 +8,20 @@ use rayon::prelude::*;
 
 use super::charts::StreamChart;
 use super::cover::{Cover, TouchedSurface};
-use super::keyframes::{KnownFrame, Turnover};
+use super::keyframes::Turnover;
 use super::surface::SurfaceChange;
+use super::view::KnownView;
 use super::{StreamInit, StreamUpdate};
 use crate::geom::PinholeCamera;
 use crate::keyframe::Keyframe;
-use crate::render::{BoundingBox, Frustum, MeshPart};
+use crate::render::{BoundingBox, DepthBound, MeshPart};
 use crate::texinit::assign::Assignment;
 use crate::texinit::assign::chart_table::{ChartPlaces, chart_mesh};
 use crate::texinit::assign::cues::{FrameCandidates, FrameWorkspace, score_part};
 use crate::texinit::{Decode, Observer};
+
+/// Blocks of a visibility buffer, each way, that are kept as one.
+const BOUND_FACTOR: usize = 2;
 
 /// What a keyframe was found to see.
 struct Sighting {
@@ -28,6 +32,8 @@ struct Sighting {
     parts: BTreeMap<u32, FrameCandidates>,
     /// Where what it sees may have changed, in the image of a keyframe that stayed.
     cover: Option<Cover>,
+    /// How far it sees at most, where that is known.
+    bound: Option<DepthBound>,
 }
 
 /// What all keyframes look at.
@@ -62,7 +68,7 @@ impl StreamInit {
             state: self,
             turnover,
             change,
-            touched: TouchedSurface::new(&change.touched),
+            touched: TouchedSurface::new(&change.gone, &change.came),
             changed_bounds: self.changed_bounds(change),
             places: ChartPlaces::new(self.mesh.num_triangles(), triangles),
             decode,
@@ -93,7 +99,8 @@ impl StreamInit {
         let charts = self.charts.iter().zip(&change.dirt);
         let to_score = charts.filter(|(_, dirt)| dirt.is_fresh || dirt.is_moved());
         let corners = to_score.flat_map(|(chart, _)| chart.bounds.corners_m());
-        let mut points = corners.chain(change.touched.iter().flatten().copied());
+        let touched = change.gone.iter().chain(&change.came).flatten();
+        let mut points = corners.chain(touched.copied());
         let first = points.next()?;
         Some(BoundingBox::around(std::iter::once(first).chain(points)))
     }
@@ -108,6 +115,7 @@ impl StreamInit {
     ) {
         if let Some(known) = self.frames.get_mut(number) {
             known.camera = Some(sighting.camera);
+            known.bound = sighting.bound.take().map(Arc::new);
         }
         let is_resighted = turnover.moved.contains(&number) || sighting.cover.is_some();
         if let Some(cover) = sighting.cover.take() {
@@ -184,12 +192,24 @@ impl Scoring<'_> {
             Some(camera) => camera,
             None => decoded.insert(decode()?).color_camera,
         };
-        let cover = self.cover(keyframe.id.0, known, &camera);
+        let params = &self.state.params;
+        let visibility = params.assign.visibility.as_ref();
+        let camera_from_world = known.pose.world_from_camera.inverse();
+        let view = KnownView::new(
+            &camera,
+            &camera_from_world,
+            self.state.far_m(),
+            visibility.unwrap_or(&params.transfer.visibility),
+        );
+        let mut bound = known.bound.as_deref().cloned();
+        let cover = self.cover(keyframe.id.0, &view, &mut bound);
+        let charts = self.charts_to_score(keyframe.id.0, &view, cover.as_ref(), bound.as_ref());
         let mut sighting = Sighting {
             camera,
-            charts: self.charts_to_score(keyframe.id.0, known, &camera, cover.as_ref()),
+            charts,
             parts: BTreeMap::new(),
             cover,
+            bound,
         };
         if sighting.charts.is_empty() {
             return Ok(Some(sighting));
@@ -199,8 +219,9 @@ impl Scoring<'_> {
             None => decode()?,
         };
         let mesh = &self.state.mesh;
-        let camera_from_world = known.pose.world_from_camera.inverse();
-        let in_view = self.state.runs.in_view(&camera, &camera_from_world);
+        let params = &params.assign;
+        let runs = &self.state.runs;
+        let in_view = runs.in_view(&camera, &camera_from_world, params.far_m());
         #[expect(
             clippy::cast_possible_truncation,
             reason = "a mesh has 32 bits of triangles"
@@ -211,7 +232,6 @@ impl Scoring<'_> {
             first..first + chart.len() as u32
         };
         let part = MeshPart::of_runs(mesh, sighting.charts.iter().map(run).collect());
-        let params = &self.state.params.assign;
         let scored = score_part(
             mesh,
             &in_view,
@@ -223,39 +243,42 @@ impl Scoring<'_> {
         )
         .map_err(|error| error.to_string())?;
         sighting.parts = self.places.split(scored);
+        if self.state.has_bounds() {
+            sighting.bound = Some(workspace.depth_bound().coarser(BOUND_FACTOR));
+        }
         Ok(Some(sighting))
     }
 
     /// Where surface came or went in the image of a keyframe that stayed.
-    fn cover(&self, number: u32, known: &KnownFrame, camera: &PinholeCamera) -> Option<Cover> {
+    fn cover(
+        &self,
+        number: u32,
+        view: &KnownView<'_>,
+        bound: &mut Option<DepthBound>,
+    ) -> Option<Cover> {
         if self.turnover.is_unseen(number) {
             return None;
         }
-        let camera_from_world = known.pose.world_from_camera.inverse();
-        let reach_px = self.reach_px(camera);
-        self.touched.cover(camera, &camera_from_world, reach_px)
+        self.touched.cover(view, self.reach_px(view.camera), bound)
     }
 
     fn charts_to_score(
         &self,
         number: u32,
-        known: &KnownFrame,
-        camera: &PinholeCamera,
+        view: &KnownView<'_>,
         cover: Option<&Cover>,
+        bound: Option<&DepthBound>,
     ) -> Vec<usize> {
-        let camera_from_world = known.pose.world_from_camera.inverse();
-        let frustum = Frustum::new(camera, &camera_from_world);
-        let may_matter = |bounds: &BoundingBox| frustum.may_see(bounds);
+        let may_matter = |bounds: &BoundingBox| view.may_see(bounds);
         if !self.turnover.is_unseen(number) && !self.changed_bounds.as_ref().is_some_and(may_matter)
         {
             return Vec::new();
         }
         let charts = self.state.charts.iter().zip(&self.change.dirt).enumerate();
-        let in_view = charts.filter(|(_, (chart, _))| frustum.may_see(&chart.bounds));
+        let in_view = charts.filter(|(_, (chart, _))| view.may_see(&chart.bounds));
         let to_score = in_view.filter(|(_, (chart, dirt))| {
             self.turnover.is_unseen(number)
-                || dirt.is_fresh
-                || dirt.is_moved()
+                || (dirt.is_fresh || dirt.is_moved()) && self.shows(chart, view, bound)
                 || cover.is_some_and(|cover| self.meets(cover, chart))
         });
         to_score.map(|(index, _)| index).collect()
@@ -267,6 +290,12 @@ impl Scoring<'_> {
         let of_means = params.transfer.visibility.reach_px(camera);
         let of_scores = params.assign.visibility.as_ref();
         of_scores.map_or(of_means, |scores| of_means.max(scores.reach_px(camera)))
+    }
+
+    /// Whether something of a chart may show.
+    fn shows(&self, chart: &StreamChart, view: &KnownView<'_>, bound: Option<&DepthBound>) -> bool {
+        let mut triangles = chart.piece.chart.triangles.iter();
+        triangles.any(|&triangle| !view.hides(&self.state.mesh.corners_m(triangle), bound))
     }
 
     fn meets(&self, cover: &Cover, chart: &StreamChart) -> bool {

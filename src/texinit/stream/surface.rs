@@ -26,8 +26,10 @@ pub(super) struct SurfaceChange {
     members: Vec<Vec<Member>>,
     /// Triangles of `mesh` that have no chart, ascending.
     loose: Vec<TriangleId>,
-    /// Surface that came or went, as triangles in space.
-    pub(super) touched: Vec<[Point3<f64>; 3]>,
+    /// Surface that went, or moved away, as triangles in space.
+    pub(super) gone: Vec<[Point3<f64>; 3]>,
+    /// Surface that came, or moved there.
+    pub(super) came: Vec<[Point3<f64>; 3]>,
     /// Per vertex of `mesh`: whether a triangle at it came, went or moved.
     pub(super) is_touched: Vec<bool>,
     /// Per chart, new ones included once they are placed.
@@ -70,7 +72,8 @@ impl StreamInit {
         self.given = Some(given.clone());
         update.mesh = found.counts();
         let mut change = SurfaceChange {
-            touched: self.touched(&mesh, &found),
+            gone: self.gone(&found),
+            came: came(&mesh, &found),
             is_touched: found.is_touched.clone(),
             mesh,
             ..SurfaceChange::default()
@@ -79,19 +82,14 @@ impl StreamInit {
         Ok(change)
     }
 
-    /// Surface that came or went.
-    fn touched(&self, mesh: &TriMesh, found: &MeshDiff) -> Vec<[Point3<f64>; 3]> {
-        let gone = found.gone.iter().map(|&t| self.mesh.corners_m(t));
-        let came = mesh.triangle_ids().zip(&found.origins);
-        let came = came.flat_map(|(triangle, origin)| match origin {
-            Origin::Kept(_) => [None, None],
-            Origin::Moved(old) => [
-                Some(self.mesh.corners_m(old.triangle)),
-                Some(mesh.corners_m(triangle)),
-            ],
-            Origin::Changed | Origin::New => [Some(mesh.corners_m(triangle)), None],
+    /// Where surface is no more.
+    fn gone(&self, found: &MeshDiff) -> Vec<[Point3<f64>; 3]> {
+        let moved = found.origins.iter().filter_map(|origin| match origin {
+            Origin::Moved(old) => Some(old.triangle),
+            _ => None,
         });
-        gone.chain(came.flatten()).collect()
+        let gone = found.gone.iter().copied().chain(moved);
+        gone.map(|triangle| self.mesh.corners_m(triangle)).collect()
     }
 
     /// Keeps the charts that can stay, and takes the others off their pages.
@@ -244,6 +242,14 @@ impl StreamInit {
         let num_triangles = self.mesh.num_triangles();
         self.layout = layout_of(&self.charts, self.placer.as_ref(), num_triangles);
     }
+}
+
+/// Where surface is that was not there.
+fn came(mesh: &TriMesh, found: &MeshDiff) -> Vec<[Point3<f64>; 3]> {
+    let came = mesh.triangle_ids().zip(&found.origins);
+    came.filter(|(_, origin)| !matches!(origin, Origin::Kept(_)))
+        .map(|(triangle, _)| mesh.corners_m(triangle))
+        .collect()
 }
 
 fn after(triangle: TriangleId, old: OldTriangle, is_moved: bool) -> Successor {

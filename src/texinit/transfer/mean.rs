@@ -9,7 +9,7 @@ use crate::atlas::{AtlasLayout, TexelSource, TexturePage};
 use crate::geom::PinholeCamera;
 use crate::geom::color::srgb_from_linear;
 use crate::mesh::{TriMesh, TriangleId};
-use crate::render::{BoundingBox, Frustum, VisibilityBuffer};
+use crate::render::{BoundingBox, DepthBound, Frustum, VisibilityBuffer};
 use crate::texinit::assign::DepthCue;
 use crate::texinit::assign::validity::{DepthProbe, depth_difference_m};
 
@@ -142,19 +142,10 @@ impl MeanTexels {
         self.sums.is_empty()
     }
 
-    /// Whether a camera may see one of the triangles, were nothing in its way.
-    pub(super) fn any_in_view(&self, mesh: &TriMesh, frustum: &Frustum) -> bool {
-        let is_in_view = |&triangle: &TriangleId| {
-            frustum.may_see(&BoundingBox::around(mesh.corners_m(triangle)))
-        };
-        let mut chunks = self.triangles.chunks(TASK_SIZE).zip(&self.bounds);
-        chunks
-            .any(|(triangles, bounds)| frustum.may_see(bounds) && triangles.iter().any(is_in_view))
-    }
-
-    /// Whether a camera may see one of the triangles past what is drawn of the mesh.
+    /// Whether a camera may see one of the triangles past what is known to
+    /// hide them.
     pub(super) fn any_visible(&self, mesh: &TriMesh, sight: &CameraSight<'_>) -> bool {
-        let frustum = Frustum::new(sight.camera, &sight.pose.camera_from_world);
+        let frustum = sight.frustum();
         let is_visible = |&triangle: &TriangleId| sight.corners(mesh, triangle).is_some();
         let mut chunks = self.triangles.chunks(TASK_SIZE).zip(&self.bounds);
         chunks
@@ -171,7 +162,10 @@ impl MeanTexels {
     ) {
         let frustums: Vec<Frustum> = looks
             .iter()
-            .map(|look| Frustum::new(&look.frame.color_camera, &look.pose.camera_from_world))
+            .map(|look| {
+                let camera = &look.frame.color_camera;
+                Frustum::new(camera, &look.pose.camera_from_world, params.far_m())
+            })
             .collect();
         let mut tasks = vec![];
         let mut rest = self.sums.as_mut_slice();
@@ -245,26 +239,40 @@ fn may_see(camera: &PinholeCamera, corners_in_camera: &[Point3<f64>; 3]) -> bool
         && !all(&|p| fy * p.y + (cy - max_y) * p.z > 0.0)
 }
 
-/// A camera, and what is drawn of the mesh from it.
+/// A camera, and what hides the mesh from it.
 pub(super) struct CameraSight<'a> {
     pub(super) camera: &'a PinholeCamera,
     pub(super) pose: &'a CameraPose,
-    pub(super) visibility: Option<&'a VisibilityBuffer>,
+    /// How far it sees at most, where that is known.
+    pub(super) bound: Option<&'a DepthBound>,
+    pub(super) params: &'a TransferParams,
 }
 
 impl CameraSight<'_> {
+    fn frustum(&self) -> Frustum {
+        Frustum::new(
+            self.camera,
+            &self.pose.camera_from_world,
+            self.params.far_m(),
+        )
+    }
+
     /// Corners of a triangle in the camera; `None` where none of it is seen.
     fn corners(&self, mesh: &TriMesh, triangle: TriangleId) -> Option<[Point3<f64>; 3]> {
         let corners = self.pose.corners_in_camera(mesh, triangle);
         if !may_see(self.camera, &corners) {
             return None;
         }
+        let bound = self
+            .bound
+            .filter(|_| self.params.mean_form == MeanForm::Seeing);
         let projected = corners.map(|p| self.camera.project(&p));
-        let is_hidden = match (self.visibility, projected) {
-            (Some(visibility), [Some(a), Some(b), Some(c)]) => {
+        let is_hidden = match (bound, projected) {
+            (Some(bound), [Some(a), Some(b), Some(c)]) => {
                 let nearest_m = corners.iter().map(|p| p.z).fold(f64::INFINITY, f64::min);
                 let slope_m = slope_m(self.camera, &corners);
-                visibility.hides_all(&[a, b, c], nearest_m, slope_m)
+                let params = &self.params.visibility;
+                nearest_m > params.far_m || bound.hides(&[a, b, c], nearest_m, slope_m, params)
             }
             _ => false,
         };
@@ -284,9 +292,8 @@ fn add_triangle(
     let sight = CameraSight {
         camera,
         pose: &look.pose,
-        visibility: look
-            .visibility
-            .filter(|_| params.mean_form == MeanForm::Seeing),
+        bound: look.visibility.map(VisibilityBuffer::depth_bound),
+        params,
     };
     let Some(corners) = sight.corners(mesh, triangle) else {
         return;

@@ -61,11 +61,16 @@ pub(super) fn activate(
                 let values = raw[at..at + inputs].iter().zip(bias);
                 for (out, (value, bias)) in out.iter_mut().zip(values) {
                     let sum = value + bias;
-                    *out = if sum < 0.0 { slope * sum } else { sum };
+                    // As the slope is at most 1. A branch on the sign would be guessed wrong half
+                    // of the time.
+                    *out = sum.max(slope * sum);
                 }
             }
         });
 }
+
+/// The bits of 1.
+const ONE: u32 = 1.0_f32.to_bits();
 
 /// The gradient by a layer's output before its activation, from that by the next layer's cells;
 /// `out` begins after its zeros. The leaky ReLU keeps the sign.
@@ -77,6 +82,7 @@ pub(super) fn deactivate(
     before: Grid,
     out: &mut [f32],
 ) {
+    // 1 or the slope is picked by bits, as a branch on the sign would be guessed wrong half of the time.
     let inputs = shape.inputs;
     out.par_chunks_mut(before.columns * inputs)
         .enumerate()
@@ -94,13 +100,13 @@ pub(super) fn deactivate(
                 let block = at_y % shape.stride * shape.stride + at_x % shape.stride;
                 let cell = image * grid.num_cells() + row * grid.columns + column;
                 let at = cell * shape.depth() + block * inputs;
-                let pairs = by_cells[at..at + inputs].iter().zip(&cells[at..]);
+                let pairs = by_cells[at..at + inputs]
+                    .iter()
+                    .zip(&cells[at..at + inputs]);
                 for (out, (gradient, value)) in out.iter_mut().zip(pairs) {
-                    *out = if value.is_sign_negative() {
-                        slope * gradient
-                    } else {
-                        *gradient
-                    };
+                    let is_negative = 0_u32.wrapping_sub(value.to_bits() >> 31);
+                    let factor = ONE ^ is_negative & (ONE ^ slope.to_bits());
+                    *out = f32::from_bits(factor) * gradient;
                 }
             }
         });

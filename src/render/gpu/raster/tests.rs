@@ -22,7 +22,7 @@ fn compare(
     pose: &RigidTransform,
 ) -> Compared {
     let mut on_gpu = ViewBuffer::default();
-    let part = MeshRuns::new(mesh).in_view(camera, pose);
+    let part = MeshRuns::new(mesh).in_view(camera, pose, f64::INFINITY);
     let mut loaded = gpu.load(mesh).unwrap();
     loaded
         .rasterize(mesh, &part, camera, pose, &mut on_gpu)
@@ -214,7 +214,7 @@ fn a_loaded_mesh_draws_any_sequence_of_views_and_sizes() {
         let camera = camera().resized(width, height).unwrap();
         let pose = turned([0.1 * f64::from(step), 0.0, 0.5], [0.0, 0.0, 0.3]);
         for (mesh, loaded) in meshes.iter().zip(&mut loaded) {
-            let part = MeshRuns::new(mesh).in_view(&camera, &pose);
+            let part = MeshRuns::new(mesh).in_view(&camera, &pose, f64::INFINITY);
             let mut view = ViewBuffer::default();
             loaded
                 .rasterize(mesh, &part, &camera, &pose, &mut view)

@@ -1,0 +1,63 @@
+//! What is known of a keyframe's view without drawing it.
+
+use nalgebra::Point3;
+
+use crate::geom::{PinholeCamera, RigidTransform};
+use crate::render::visibility::depth_slope_m;
+use crate::render::{BoundingBox, DepthBound, Frustum, VisibilityParams};
+
+/// A camera where it stands.
+pub(super) struct KnownView<'a> {
+    pub(super) camera: &'a PinholeCamera,
+    pub(super) camera_from_world: &'a RigidTransform,
+    pub(super) frustum: Frustum,
+    params: &'a VisibilityParams,
+}
+
+impl<'a> KnownView<'a> {
+    /// Nothing deeper than `far_m` metres is looked at; what is hidden is decided by `params`.
+    pub(super) fn new(
+        camera: &'a PinholeCamera,
+        camera_from_world: &'a RigidTransform,
+        far_m: f64,
+        params: &'a VisibilityParams,
+    ) -> Self {
+        Self {
+            camera,
+            camera_from_world,
+            frustum: Frustum::new(camera, camera_from_world, far_m),
+            params,
+        }
+    }
+
+    pub(super) fn may_see(&self, bounds: &BoundingBox) -> bool {
+        self.frustum.may_see(bounds)
+    }
+
+    /// The pixels of a triangle's corners; `None` unless all are in front of the camera.
+    pub(super) fn corners_px(&self, corners_m: &[Point3<f64>; 3]) -> Option<[[f64; 2]; 3]> {
+        let in_camera = corners_m.map(|corner| self.camera_from_world.transform_point(&corner));
+        self.project(&in_camera)
+    }
+
+    fn project(&self, corners_in_camera: &[Point3<f64>; 3]) -> Option<[[f64; 2]; 3]> {
+        let [a, b, c] = corners_in_camera.map(|corner| self.camera.project(&corner));
+        Some([a?, b?, c?])
+    }
+
+    /// Whether nothing of a triangle shows, by how far the view sees at most; no without a bound.
+    pub(super) fn hides(&self, corners_m: &[Point3<f64>; 3], bound: Option<&DepthBound>) -> bool {
+        let Some(bound) = bound else {
+            return false;
+        };
+        let corners = corners_m.map(|corner| self.camera_from_world.transform_point(&corner));
+        let Some(corners_px) = self.project(&corners) else {
+            return false;
+        };
+        let [a, b, c] = &corners;
+        let center = Point3::from((a.coords + b.coords + c.coords) / 3.0);
+        let slope_m = depth_slope_m(self.camera, &center, &(b - a).cross(&(c - a)));
+        let nearest_m = a.z.min(b.z).min(c.z);
+        bound.hides(&corners_px, nearest_m, slope_m, self.params)
+    }
+}
