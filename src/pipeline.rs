@@ -31,5 +31,5 @@ pub use refine::{RefineParams, RefineReport};
 pub use region::RegionParams;
 pub use run::{PipelineError, PipelineParams, Run, StageTime, run};
 pub use scan::{Scan, gather};
-pub use stream::{StreamPainter, Streamed, stream};
+pub use stream::{StreamPainter, Streamed, UpdateSummary, run_streamed, stream};
 pub use texture::{Textured, texture_scan};

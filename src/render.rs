@@ -9,6 +9,7 @@ pub mod part;
 pub mod raster;
 pub mod textured;
 pub mod visibility;
+pub mod window;
 
 pub use backend::{Backend, GpuError, MeshViews, ViewRasterizer};
 pub use depth_bound::DepthBound;
@@ -16,6 +17,8 @@ pub use model::render_model;
 pub use part::{BoundingBox, Frustum, MeshPart, MeshRuns};
 pub use raster::{
     NO_TRIANGLE, RasterWorkspace, ViewBuffer, barycentric, rasterize, rasterize_part,
+    rasterize_window,
 };
 pub use textured::{RenderParams, RenderedView, render_textured};
 pub use visibility::{SurfacePoint, VisibilityBuffer, VisibilityParams};
+pub use window::{PixelWindow, WindowFinder};

@@ -152,7 +152,7 @@ pub struct TexInit {
 }
 
 /// How each stage went.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct TexInitReport {
     /// Flattening.
     pub flatten: FlattenReport,

@@ -156,7 +156,7 @@ pub enum PackError {
 }
 
 /// How the packing went.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct PackReport {
     /// Charts on the pages, those set apart included.
     pub num_charts: usize,

@@ -115,8 +115,13 @@ impl Job<'_> {
         // So should an unwritable bag.
         let recording = self.record.map(record::Recording::create).transpose()?;
         let mut bag = BagReader::open(self.bag, &config.topics)?;
-        let mut run = pipeline::run(&mut bag, &config.pipeline, &progress)
-            .with_context(|| why_not(self.bag, &bag))?;
+        let painted = if config.pipeline.follows_changes {
+            let period_s = config.node.paint_period_s;
+            pipeline::run_streamed(&mut bag, &config.pipeline, period_s, &progress)
+        } else {
+            pipeline::run(&mut bag, &config.pipeline, &progress)
+        };
+        let mut run = painted.with_context(|| why_not(self.bag, &bag))?;
         let mut report = summary::of_run(&run, self.bag, &bag, config);
         let views = take_views(&mut run);
 

@@ -259,7 +259,7 @@ pub const PARAMETERS: &[Parameter] = &[
     row("texsmooth.checkpoint_interval", "", "Steps between checkpoints; 0 for none.",
         Count(|c| &mut c.pipeline.texsmooth.checkpoint_interval, 0, 1_000_000)),
 
-    row("stream.enabled", "", "Whether the node paints only what changed since the last painting: charts, labels and texels stay as long as mesh and keyframes do. Gains (photometric.gain) are then given to each keyframe once, when it comes. Not with what works on the whole texture: corrected poses, levelled seams, texsmooth.",
+    row("stream.enabled", "", "Whether only what changed since the last painting is painted, in the node, and in replay as the recording's clock goes on: charts, labels and texels stay as long as mesh and keyframes do. Gains (photometric.gain) are then given to each keyframe once, when it comes. Not with what works on the whole texture: corrected poses, levelled seams, texsmooth.",
         Bool(|c| &mut c.pipeline.follows_changes)),
     row("stream.quantum_m", "m", "Vertices are compared on a grid of this pitch.",
         Float(|c| &mut c.pipeline.stream.diff.quantum_m, 1e-6, 0.01)),
@@ -302,6 +302,8 @@ pub const PARAMETERS: &[Parameter] = &[
         Float(|c| &mut c.pipeline.refine.seams.reach_m, 1e-6, 1e6)),
     row("photometric.seam_band_texel", "texel", "Width of the narrow band on either side of a seam.",
         Float(|c| &mut c.pipeline.refine.seams.band_texel, 1e-3, 1e4)),
+    row("photometric.seam_misplaced_px", "px", "How far apart two photos are taken to show a point, in photos at most 480 wide: steps are doubted as far as colours change over it.",
+        Float(|c| &mut c.pipeline.refine.seams.misplaced_px, 0.0, 100.0)),
     row("photometric.max_seam_step", "", "Larger steps of linear light are left as they are.",
         Float(|c| &mut c.pipeline.refine.seams.max_step, 1e-6, 2.0)),
 
@@ -319,7 +321,7 @@ pub const PARAMETERS: &[Parameter] = &[
         Float(|c| &mut c.node.queue_mb, 1.0, 1e5)),
     row("idle_flush", "s", "Silence after which images that wait for a partner or a pose are given up on (node).",
         Float(|c| &mut c.node.idle_flush_s, 0.1, 3600.0)),
-    row("paint_period", "s", "Least time between the starts of two paintings (node).",
+    row("paint_period", "s", "Least time between the starts of two paintings (node; replay with stream.enabled).",
         Float(|c| &mut c.node.paint_period_s, 0.0, 3600.0)),
     row("refine_iterations", "", "Least steps of the optimisation that ~/refine does (node).",
         Count(|c| &mut c.node.refine_steps, 1, 10_000_000)),

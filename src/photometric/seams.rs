@@ -43,6 +43,9 @@ pub struct SeamParams {
     pub band_texel: f64,
     /// Larger steps of linear light stay as they are (> 0).
     pub max_step: f64,
+    /// How far apart two photos are taken to show a point, pixels of the reduced photo (≥ 0): steps are
+    /// doubted as far as the photos' own colours change over it.
+    pub misplaced_px: f64,
 }
 
 impl Default for SeamParams {
@@ -53,7 +56,8 @@ impl Default for SeamParams {
             reach_m: 0.5,
             step_weight: 50.0,
             band_texel: 6.0,
-            max_step: 0.12,
+            max_step: 0.25,
+            misplaced_px: 1.0,
         }
     }
 }
@@ -96,6 +100,7 @@ pub fn level_seams(
     check("weight of seam steps", params.step_weight, 1e-6..=1e6)?;
     check("band of seam levelling", params.band_texel, 1e-3..=1e4)?;
     check("largest seam step", params.max_step, 1e-6..=2.0)?;
+    check("misplacement at seams", params.misplaced_px, 0.0..=100.0)?;
     let num_triangles = mesh.num_triangles();
     let num_in_layout = layout
         .corners_texel
@@ -133,7 +138,7 @@ pub fn level_seams(
     report.step_before = sample(&mut seams, texture);
     report.step_after_global = report.step_before;
     if let Some(photos) = photos {
-        samples::sample_photos(&mut seams, mesh, labels, photos, params.max_step);
+        samples::sample_photos(&mut seams, mesh, labels, photos, params);
     }
     if params.has_global && !seams.is_empty() {
         let (corrections, num_steps) = global::solve(mesh, &nodes, &seams, params);

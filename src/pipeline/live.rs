@@ -325,7 +325,7 @@ impl Painter {
 }
 
 /// How the budget is divided for a capture.
-fn memory_plan(capture: &Capture, params: &PipelineParams) -> MemoryPlan {
+pub(super) fn memory_plan(capture: &Capture, params: &PipelineParams) -> MemoryPlan {
     let num_bytes = capture.keyframes.iter().map(|k| k.num_bytes()).sum();
     let num_triangles = capture.mesh.as_ref().map_or(0, |m| m.num_triangles());
     let num_keyframes = capture.keyframes.len();

@@ -9,6 +9,7 @@ use super::progress::Progress;
 use super::refine::{RefineParams, RefineReport};
 use super::region::RegionParams;
 use super::scan::gather;
+use super::stream::UpdateSummary;
 use super::texture::{Textured, texture_scan};
 use crate::ingest::{EventSource, IngestParams, IngestReport};
 use crate::keyframe::{Keyframe, KeyframeParams, KeyframeReport};
@@ -38,7 +39,8 @@ pub struct PipelineParams {
     pub refine: RefineParams,
     /// From an initial texture to a sharp one.
     pub texsmooth: TexSmoothParams,
-    /// Whether [`super::Painter`] paints only what changed since its last capture.
+    /// Whether [`super::Painter`] paints only what changed since its last capture, and replay is
+    /// [`super::run_streamed`].
     pub follows_changes: bool,
     /// How it does that.
     pub stream: StreamParams,
@@ -118,6 +120,8 @@ pub struct Run {
     pub num_welded_vertices: usize,
     /// How memory was divided.
     pub memory: MemoryPlan,
+    /// What the updates did, where the texture was kept up while the stream went on.
+    pub updates: Option<UpdateSummary>,
     /// Wall times, in order.
     pub stages: Vec<StageTime>,
 }
@@ -169,6 +173,7 @@ pub fn run(
         duration_s: scan.duration_s,
         num_mesh_updates: scan.num_mesh_updates,
         num_welded_vertices: scan.num_welded_vertices,
+        updates: None,
         stages: clock.finish(),
     })
 }

@@ -8,6 +8,7 @@
 //!
 //! [`stream()`] drives it by the time of the stream, so that the same events give the same updates.
 
+mod replayed;
 mod stream_gains;
 
 use std::sync::Arc;
@@ -25,6 +26,8 @@ use crate::mesh::TriMesh;
 use crate::photometric::{CorrectedFrames, GainTable};
 use crate::texinit::TexInitParams;
 use crate::texinit::stream::{StreamInit, StreamParams, StreamUpdate};
+
+pub use replayed::{UpdateSummary, run_streamed};
 
 /// What a capture changed.
 #[derive(Debug)]
@@ -91,6 +94,14 @@ impl StreamPainter {
             Some(kept) => CorrectedFrames::new(&recorded, &kept.gains, 0).decode(keyframe),
             None => recorded(keyframe),
         }
+    }
+
+    /// A keyframe's images as they were recorded.
+    ///
+    /// # Errors
+    /// [`ImageError`] when an image does not decode.
+    pub fn decode_recorded(&self, keyframe: &Keyframe) -> Result<Arc<DecodedFrame>, ImageError> {
+        self.store.decode(keyframe)
     }
 
     /// Brings the texture up to a capture. With other settings than before all is painted anew. A

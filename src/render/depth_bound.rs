@@ -2,6 +2,7 @@
 
 use super::VisibilityParams;
 use super::raster::ViewBuffer;
+use super::window::PixelWindow;
 
 /// Triangles over more blocks than this are not looked at.
 const MAX_BLOCKS: usize = 256;
@@ -10,8 +11,8 @@ const MAX_BLOCKS: usize = 256;
 /// depth of the view from above, and goes on doing so while surface is added to the mesh.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct DepthBound {
-    /// Width and height of the view, pixels.
-    view_px: [u32; 2],
+    /// What of the view it is of.
+    window: PixelWindow,
     /// Pixels of the view per pixel of the full-size camera, across and down.
     scale: [f64; 2],
     /// Side of a block, pixels of the view.
@@ -22,7 +23,7 @@ pub struct DepthBound {
 
 /// Where the corners of a triangle lie in blocks: columns and rows, first and last.
 enum Reach {
-    /// Outside of the image.
+    /// Outside of the window.
     Outside,
     Blocks([[usize; 2]; 2]),
     /// Not to be told, or too many blocks.
@@ -30,9 +31,16 @@ enum Reach {
 }
 
 impl DepthBound {
-    /// Takes over what a view of a camera shows; `scale` is its size over the camera's.
-    pub(super) fn update(&mut self, view: &ViewBuffer, scale: [f64; 2], block_px: usize) {
-        self.view_px = [view.width, view.height];
+    /// Takes over what a window of a camera's view shows; `scale` is the whole view's size over the
+    /// camera's. The window begins at a multiple of the blocks' side.
+    pub(super) fn update(
+        &mut self,
+        view: &ViewBuffer,
+        window: PixelWindow,
+        scale: [f64; 2],
+        block_px: usize,
+    ) {
+        self.window = window;
         self.scale = scale;
         self.block_px = block_px;
         self.farthest_m.clear();
@@ -79,6 +87,29 @@ impl DepthBound {
         coarse
     }
 
+    /// Takes over what is newer in a part of the same view, in blocks of the same size.
+    pub fn renew(&mut self, part: &Self) {
+        let is_like = self.block_px == part.block_px && self.scale == part.scale;
+        let block_px = self.block_px.max(1);
+        let begins = |axis: usize| {
+            let pixels = part.window.start[axis].checked_sub(self.window.start[axis])?;
+            (pixels as usize)
+                .is_multiple_of(block_px)
+                .then_some(pixels as usize / block_px)
+        };
+        let (Some(column), Some(row)) = (begins(0), begins(1)) else {
+            return;
+        };
+        let (columns, part_columns) = (self.num_columns(), part.num_columns());
+        if !is_like || part_columns == 0 || column + part_columns > columns {
+            return;
+        }
+        let rows = self.farthest_m.chunks_exact_mut(columns).skip(row);
+        for (row, newer) in rows.zip(part.farthest_m.chunks_exact(part_columns)) {
+            row[column..column + part_columns].copy_from_slice(newer);
+        }
+    }
+
     /// Bytes that it takes.
     pub fn num_bytes(&self) -> usize {
         size_of_val(&*self.farthest_m)
@@ -89,7 +120,7 @@ impl DepthBound {
         self.scale[0].min(self.scale[1]).max(1e-9)
     }
 
-    /// Whether every point of a triangle is hidden, or outside of the image: then
+    /// Whether every point of a triangle is hidden, or outside of the window: then
     /// [`super::VisibilityBuffer::is_visible`] is false for all of them, and it does not show in the
     /// view. A quick test that says no when in doubt. Corners are in pixels of the full-size camera, all
     /// in front of it; `slope_m` as in [`super::SurfacePoint`].
@@ -134,7 +165,7 @@ impl DepthBound {
     }
 
     fn num_columns(&self) -> usize {
-        (self.view_px[0] as usize).div_ceil(self.block_px.max(1))
+        (self.window.size()[0] as usize).div_ceil(self.block_px.max(1))
     }
 
     #[expect(
@@ -143,10 +174,11 @@ impl DepthBound {
         reason = "clamped to the view before the casts"
     )]
     fn reach(&self, corners_px: &[[f64; 2]; 3]) -> Reach {
-        let sides = self.view_px.map(f64::from);
+        let sides = self.window.size().map(f64::from);
         let mut blocks = [[0; 2]; 2];
         for axis in 0..2 {
-            let values = corners_px.map(|corner| (corner[axis] + 0.5) * self.scale[axis]);
+            let start = f64::from(self.window.start[axis]);
+            let values = corners_px.map(|corner| (corner[axis] + 0.5) * self.scale[axis] - start);
             let low = values.into_iter().fold(f64::INFINITY, f64::min) - 1.0;
             let high = values.into_iter().fold(f64::NEG_INFINITY, f64::max) + 1.0;
             if !(low.is_finite() && high.is_finite()) {
@@ -182,7 +214,7 @@ mod tests {
         };
         view.depth_m[15 * 32 + 31] = 0.0;
         let mut bound = DepthBound::default();
-        bound.update(&view, [0.5, 0.5], 4);
+        bound.update(&view, PixelWindow::whole(32, 16), [0.5, 0.5], 4);
         bound
     }
 
@@ -204,6 +236,38 @@ mod tests {
             assert!(!bound.hides(&at(4.0, 4.0), 3.0, 1.0, &params), "steep");
             assert!(!bound.hides(&at(f64::NAN, 4.0), 3.0, 0.0, &params));
         }
+    }
+
+    #[test]
+    fn a_part_that_is_drawn_again_renews_its_blocks() {
+        let view = ViewBuffer {
+            width: 16,
+            height: 8,
+            triangle: vec![0; 128],
+            depth_m: vec![1.0; 128],
+        };
+        let window = PixelWindow {
+            start: [16, 8],
+            end: [32, 16],
+        };
+        let mut part = DepthBound::default();
+        part.update(&view, window, [0.5, 0.5], 4);
+        let params = VisibilityParams::default();
+        assert!(part.hides(&at(40.0, 24.0), 2.0, 0.0, &params));
+        assert!(!part.hides(&at(40.0, 24.0), 1.0, 0.0, &params));
+        assert!(
+            part.hides(&at(4.0, 4.0), 1.0, 0.0, &params),
+            "outside of it"
+        );
+        let mut whole = bound().coarser(2);
+        whole.renew(&part.coarser(2));
+        assert!(whole.hides(&at(40.0, 24.0), 2.0, 0.0, &params));
+        assert!(whole.hides(&at(60.0, 28.0), 2.0, 0.0, &params));
+        assert!(!whole.hides(&at(44.0, 4.0), 3.0, 0.0, &params), "above it");
+        assert!(
+            !whole.hides(&at(4.0, 24.0), 1.5, 0.0, &params),
+            "left of it"
+        );
     }
 
     #[test]

@@ -12,6 +12,8 @@ use nalgebra::{Point3, Vector3};
 use crate::geom::{PinholeCamera, RigidTransform};
 use crate::mesh::{TriMesh, TriangleId};
 
+use super::window::PixelWindow;
+
 /// Triangles that share a box.
 const RUN_SIZE: usize = 64;
 /// Vertices that are wanted together.
@@ -69,16 +71,27 @@ impl Frustum {
     /// The view of a camera up to a depth of `far_m` metres (infinite for no end), somewhat widened:
     /// what rounding may put into the image is inside.
     pub fn new(camera: &PinholeCamera, camera_from_world: &RigidTransform, far_m: f64) -> Self {
+        let window = PixelWindow::whole(camera.width(), camera.height());
+        Self::of_window(camera, camera_from_world, far_m, window)
+    }
+
+    /// The part of the view that lies in a window of the camera's image.
+    pub fn of_window(
+        camera: &PinholeCamera,
+        camera_from_world: &RigidTransform,
+        far_m: f64,
+        window: PixelWindow,
+    ) -> Self {
         let [fx, fy, cx, cy] = camera.intrinsics_px();
-        let right = f64::from(camera.width() - 1) + MARGIN_PX - cx;
-        let bottom = f64::from(camera.height() - 1) + MARGIN_PX - cy;
+        let [left, top] = window.start.map(|px| f64::from(px) - MARGIN_PX);
+        let [right, bottom] = window.end.map(|px| f64::from(px) - 1.0 + MARGIN_PX);
         let world_from_camera = camera_from_world.inverse();
         let half_spaces = [
             Vector3::z(),
-            Vector3::new(fx, 0.0, cx + MARGIN_PX),
-            Vector3::new(-fx, 0.0, right),
-            Vector3::new(0.0, fy, cy + MARGIN_PX),
-            Vector3::new(0.0, -fy, bottom),
+            Vector3::new(fx, 0.0, cx - left),
+            Vector3::new(-fx, 0.0, right - cx),
+            Vector3::new(0.0, fy, cy - top),
+            Vector3::new(0.0, -fy, bottom - cy),
         ]
         .map(|normal| {
             let in_world = world_from_camera.transform_vector(&normal);
@@ -236,17 +249,21 @@ impl MeshRuns {
 
     /// What the camera may see up to a depth of `far_m` metres: every triangle that is drawn, or lies
     /// in the image, up to there is among it.
-    #[expect(
-        clippy::cast_possible_truncation,
-        reason = "a mesh has at most 2³² triangles"
-    )]
     pub fn in_view(
         &self,
         camera: &PinholeCamera,
         camera_from_world: &RigidTransform,
         far_m: f64,
     ) -> MeshPart {
-        let frustum = Frustum::new(camera, camera_from_world, far_m);
+        self.in_frustum(&Frustum::new(camera, camera_from_world, far_m))
+    }
+
+    /// The runs that reach into a view.
+    #[expect(
+        clippy::cast_possible_truncation,
+        reason = "a mesh has at most 2³² triangles"
+    )]
+    pub fn in_frustum(&self, frustum: &Frustum) -> MeshPart {
         let mut part = MeshPart::default();
         let mut by_depth = vec![];
         let block_size = BLOCK_SIZE as usize;
@@ -294,7 +311,7 @@ fn push_joined<T: PartialEq>(runs: &mut Vec<Range<T>>, run: Range<T>) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::render::{RasterWorkspace, ViewBuffer, rasterize, rasterize_part};
+    use crate::render::{RasterWorkspace, ViewBuffer, rasterize, rasterize_part, rasterize_window};
     use nalgebra::{UnitQuaternion, Vector3};
     use proptest::prelude::*;
 
@@ -336,6 +353,8 @@ mod tests {
             angles in [-4.0..4.0f64, -4.0..4.0f64, -4.0..4.0f64],
             position in [-1.5..1.5f64, -1.5..1.5f64, -1.5..1.5f64],
             focal_px in 30.0..300.0f64,
+            corner_px in [0..80u32, 0..60u32],
+            size_px in [1..80u32, 1..60u32],
         ) {
             let mesh = room();
             let runs = MeshRuns::new(&mesh);
@@ -350,6 +369,25 @@ mod tests {
             rasterize(&mesh, &camera, &pose, &mut workspace, &mut whole);
             rasterize_part(&mesh, &part, &camera, &pose, &mut RasterWorkspace::default(), &mut seen);
             prop_assert_eq!(&whole, &seen);
+            // A window of it, with what reaches into that alone.
+            let window = PixelWindow {
+                start: corner_px,
+                end: [
+                    (corner_px[0] + size_px[0]).min(80),
+                    (corner_px[1] + size_px[1]).min(60),
+                ],
+            };
+            let frustum = Frustum::of_window(&camera, &pose, f64::INFINITY, window);
+            let mut narrow = ViewBuffer::default();
+            rasterize_window(
+                &mesh, &runs.in_frustum(&frustum), &camera, &pose, window,
+                &mut RasterWorkspace::default(), &mut narrow,
+            );
+            let rows = (window.start[1]..window.end[1]).flat_map(|y| {
+                (window.start[0]..window.end[0]).map(move |x| (y * 80 + x) as usize)
+            });
+            prop_assert!(rows.clone().map(|at| whole.triangle[at]).eq(narrow.triangle));
+            prop_assert!(rows.map(|at| whole.depth_m[at]).eq(narrow.depth_m));
             let is_listed = |t: u32| part.triangles(&mesh).any(|(listed, _)| listed == t);
             for triangle in mesh.triangle_ids() {
                 let is_inside = mesh.corners_m(triangle).iter().any(|corner| {

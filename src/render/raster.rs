@@ -19,6 +19,7 @@ use crate::geom::{PinholeCamera, RigidTransform};
 use crate::mesh::TriMesh;
 
 use super::part::MeshPart;
+use super::window::PixelWindow;
 
 /// Id of pixels that no triangle covers.
 pub const NO_TRIANGLE: u32 = u32::MAX;
@@ -209,7 +210,32 @@ pub fn rasterize_part(
     workspace: &mut RasterWorkspace,
     out: &mut ViewBuffer,
 ) {
-    out.clear(camera.width(), camera.height());
+    let window = PixelWindow::whole(camera.width(), camera.height());
+    rasterize_window(
+        mesh,
+        part,
+        camera,
+        camera_from_world,
+        window,
+        workspace,
+        out,
+    );
+}
+
+/// Draws what lies in a window of the view; `out` takes the window's size. Its pixels are those of the
+/// whole view.
+pub fn rasterize_window(
+    mesh: &TriMesh,
+    part: &MeshPart,
+    camera: &PinholeCamera,
+    camera_from_world: &RigidTransform,
+    window: PixelWindow,
+    workspace: &mut RasterWorkspace,
+    out: &mut ViewBuffer,
+) {
+    let [width, height] = window.size();
+    out.clear(width, height);
+    let first_px = window.start;
     let projector = Projector::new(camera, camera_from_world);
     let vertices = &mut workspace.vertices;
     part.map_vertices(mesh, vertices, |p| projector.project(p));
@@ -218,11 +244,11 @@ pub fn rasterize_part(
         let on_screen = corners.map(|v| vertices[v as usize]);
         match Fate::of(on_screen.map(|v| v.outcode)) {
             Fate::Dropped => {}
-            Fate::Drawn => draw(on_screen, triangle, out),
+            Fate::Drawn => draw(on_screen, triangle, first_px, out),
             Fate::Clipped => {
                 let points =
                     corners.map(|v| projector.homogeneous(&mesh.positions_m()[v as usize]));
-                clip_to_pieces(points, |piece| draw(piece, triangle, out));
+                clip_to_pieces(points, |piece| draw(piece, triangle, first_px, out));
             }
         }
     }
@@ -301,22 +327,26 @@ struct Edge {
     row: i64,
     step_x: i64,
     step_y: i64,
-    /// Value at the first pixel of the first row, without the fill rule's bias.
-    unbiased: i64,
+}
+
+/// Value of an edge's function at a pixel, without the fill rule's bias.
+fn edge_value(a: ScreenVertex, b: ScreenVertex, x_px: i64, y_px: i64) -> i64 {
+    let [ax, ay, bx, by] = [a.x, a.y, b.x, b.y].map(i64::from);
+    (bx - ax) * ((y_px << SUBPIXEL_BITS) - ay) - (by - ay) * ((x_px << SUBPIXEL_BITS) - ax)
 }
 
 impl Edge {
     fn new(a: ScreenVertex, b: ScreenVertex, x_px: i64, y_px: i64) -> Self {
-        let [ax, ay, bx, by] = [a.x, a.y, b.x, b.y].map(i64::from);
-        let (dx, dy) = (bx - ax, by - ay);
-        let unbiased = dx * ((y_px << SUBPIXEL_BITS) - ay) - dy * ((x_px << SUBPIXEL_BITS) - ax);
+        let (dx, dy) = (
+            i64::from(b.x) - i64::from(a.x),
+            i64::from(b.y) - i64::from(a.y),
+        );
         // An edge owns the pixel centres on it in one of its two directions only.
         let owns_ties = dy < 0 || (dy == 0 && dx > 0);
         Self {
-            row: unbiased - i64::from(!owns_ties),
+            row: edge_value(a, b, x_px, y_px) - i64::from(!owns_ties),
             step_x: -dy << SUBPIXEL_BITS,
             step_y: dx << SUBPIXEL_BITS,
-            unbiased,
         }
     }
 }
@@ -335,21 +365,23 @@ fn canonical(mut corners: [ScreenVertex; 3]) -> Option<([ScreenVertex; 3], i64)>
     (area2 != 0).then_some((corners, area2.abs()))
 }
 
+/// Draws a triangle into a window of the view whose first column and row are given.
 #[expect(
     clippy::cast_possible_truncation,
     clippy::cast_sign_loss,
-    reason = "pixel indices are clamped to the image; depth is rounded to f32 on purpose"
+    reason = "pixel indices are clamped to the window; depth is rounded to f32 on purpose"
 )]
-fn draw(corners: [ScreenVertex; 3], triangle: u32, out: &mut ViewBuffer) {
-    let extent = |along: fn(&ScreenVertex) -> i32, size: u32| {
+fn draw(corners: [ScreenVertex; 3], triangle: u32, first_px: [u32; 2], out: &mut ViewBuffer) {
+    let extent = |along: fn(&ScreenVertex) -> i32, start: u32, size: u32| {
         let [p, q, r] = corners.each_ref().map(along).map(i64::from);
         let first = p.min(q).min(r);
         let first = first.div_euclid(256) + i64::from(first.rem_euclid(256) != 0);
         let last = p.max(q).max(r).div_euclid(256);
-        (first.max(0), last.min(i64::from(size) - 1))
+        let (start, size) = (i64::from(start), i64::from(size));
+        (first.max(start), last.min(start + size - 1))
     };
-    let (x_first, x_last) = extent(|v| v.x, out.width);
-    let (y_first, y_last) = extent(|v| v.y, out.height);
+    let (x_first, x_last) = extent(|v| v.x, first_px[0], out.width);
+    let (y_first, y_last) = extent(|v| v.y, first_px[1], out.height);
     if x_first > x_last || y_first > y_last {
         return;
     }
@@ -357,10 +389,12 @@ fn draw(corners: [ScreenVertex; 3], triangle: u32, out: &mut ViewBuffer) {
     let nearest = inv_z[0].max(inv_z[1]).max(inv_z[2]);
     let farthest = inv_z[0].min(inv_z[1]).min(inv_z[2]);
     let width = out.width as usize;
-    let columns = x_first as usize..x_last as usize + 1;
+    let [x_start, y_start] = first_px.map(i64::from);
+    let columns = (x_first - x_start) as usize..(x_last - x_start) as usize + 1;
+    let rows = (y_first - y_start) as usize..(y_last - y_start) as usize + 1;
     // Nothing of it can win where all of its box shows nearer surfaces, which in a building, drawn
     // from front to back, is the lot of most triangles.
-    let is_hidden = out.depth_m[y_first as usize * width..(y_last as usize + 1) * width]
+    let is_hidden = out.depth_m[rows.start * width..rows.end * width]
         .chunks_exact(width)
         .all(|row| row[columns.clone()].iter().all(|&inv_z| inv_z > nearest));
     if is_hidden {
@@ -370,16 +404,21 @@ fn draw(corners: [ScreenVertex; 3], triangle: u32, out: &mut ViewBuffer) {
     let Some(([a, b, c], area2)) = canonical(corners) else {
         return;
     };
-    let mut edges = [(b, c), (c, a), (a, b)].map(|(p, q)| Edge::new(p, q, x_first, y_first));
+    let sides = [(b, c), (c, a), (a, b)];
+    let mut edges = sides.map(|(p, q)| Edge::new(p, q, x_first, y_first));
     let inv_z = [a.inv_z, b.inv_z, c.inv_z];
     let inv_area2 = 1.0 / area2 as f64;
-    let weigh = |value: fn(&Edge) -> i64| {
-        let terms: [f64; 3] =
-            std::array::from_fn(|i| value(&edges[i]) as f64 * f64::from(inv_z[i]));
+    let weigh = |values: [i64; 3]| {
+        let terms: [f64; 3] = std::array::from_fn(|i| values[i] as f64 * f64::from(inv_z[i]));
         (terms[0] + terms[1] + terms[2]) * inv_area2
     };
-    let (step_x, step_y) = (weigh(|e| e.step_x), weigh(|e| e.step_y));
-    let mut row_inv_z = weigh(|e| e.unbiased);
+    let (step_x, step_y) = (
+        weigh(edges.map(|edge| edge.step_x)),
+        weigh(edges.map(|edge| edge.step_y)),
+    );
+    // From a corner's pixel on, so that the value at a pixel is the same in every window.
+    let [x_origin, y_origin] = [a.x, a.y].map(|at| i64::from(at >> SUBPIXEL_BITS));
+    let origin_inv_z = weigh(sides.map(|(p, q)| edge_value(p, q, x_origin, y_origin)));
 
     let box_width = x_last - x_first + 1;
     for y in y_first..=y_last {
@@ -389,10 +428,11 @@ fn draw(corners: [ScreenVertex; 3], triangle: u32, out: &mut ViewBuffer) {
             (0, box_width)
         };
         if skip < end {
-            let start = y as usize * width + (x_first + skip) as usize;
+            let start = (y - y_start) as usize * width + (x_first + skip - x_start) as usize;
             let range = start..start + (end - skip) as usize;
             let mut e = edges.map(|edge| edge.row + skip * edge.step_x);
-            let mut pixel_inv_z = row_inv_z + skip as f64 * step_x;
+            let row_inv_z = origin_inv_z + (y - y_origin) as f64 * step_y;
+            let mut x = (x_first + skip - x_origin) as f64;
             let mut has_entered = false;
             let pixels = out.depth_m[range.clone()]
                 .iter_mut()
@@ -401,6 +441,7 @@ fn draw(corners: [ScreenVertex; 3], triangle: u32, out: &mut ViewBuffer) {
                 let is_inside = (e[0] | e[1] | e[2]) >= 0;
                 if is_inside {
                     has_entered = true;
+                    let pixel_inv_z = row_inv_z + x * step_x;
                     let candidate = (pixel_inv_z as f32).clamp(farthest, nearest);
                     let is_tie = candidate == *stored && candidate > 0.0;
                     let is_nearer = candidate > *stored || (is_tie && triangle < *id);
@@ -415,13 +456,12 @@ fn draw(corners: [ScreenVertex; 3], triangle: u32, out: &mut ViewBuffer) {
                 for (value, edge) in e.iter_mut().zip(&edges) {
                     *value += edge.step_x;
                 }
-                pixel_inv_z += step_x;
+                x += 1.0;
             }
         }
         for edge in &mut edges {
             edge.row += edge.step_y;
         }
-        row_inv_z += step_y;
     }
 }
 

@@ -18,7 +18,8 @@ use crate::mesh::TriMesh;
 
 use super::depth_bound::DepthBound;
 use super::part::MeshPart;
-use super::raster::{NO_TRIANGLE, RasterWorkspace, ViewBuffer, rasterize_part};
+use super::raster::{NO_TRIANGLE, RasterWorkspace, ViewBuffer, rasterize_window};
+use super::window::{PixelWindow, WindowFinder};
 
 /// How visibility is decided.
 #[derive(Clone, Debug, PartialEq)]
@@ -55,7 +56,7 @@ impl Default for VisibilityParams {
 impl VisibilityParams {
     /// Half-width of the window in which depth edges are looked for, pixels of a buffer of that many
     /// columns.
-    fn margin_px(&self, num_columns: u32) -> u32 {
+    pub(super) fn margin_px(&self, num_columns: u32) -> u32 {
         let reference = u64::from(self.edge_margin_px) * u64::from(num_columns);
         u32::try_from(reference.div_ceil(640))
             .unwrap_or(u32::MAX)
@@ -101,6 +102,10 @@ pub struct VisibilityBuffer {
     farthest_m: Vec<f32>,
     scratch_m: Vec<f32>,
     bound: DepthBound,
+    /// Columns of the whole buffer.
+    num_columns: u32,
+    /// What of it is drawn.
+    window: PixelWindow,
     scale: [f64; 2],
     params: VisibilityParams,
 }
@@ -137,23 +142,43 @@ impl VisibilityBuffer {
         camera_from_world: &RigidTransform,
         params: &VisibilityParams,
     ) -> Result<(), CameraError> {
+        let whole = WindowFinder::new(camera, params).whole();
+        self.update_window(mesh, part, camera, camera_from_world, params, whole)
+    }
+
+    /// The same in a window alone ([`WindowFinder`]); what lies outside of it is taken for hidden.
+    ///
+    /// # Errors
+    /// [`CameraError`] when the camera cannot be scaled to the buffer's size.
+    pub fn update_window(
+        &mut self,
+        mesh: &TriMesh,
+        part: &MeshPart,
+        camera: &PinholeCamera,
+        camera_from_world: &RigidTransform,
+        params: &VisibilityParams,
+        window: PixelWindow,
+    ) -> Result<(), CameraError> {
         let [width, height] = buffer_size(camera, params.max_width_px);
         let scaled = camera.resized(width, height)?;
-        rasterize_part(
+        rasterize_window(
             mesh,
             part,
             &scaled,
             camera_from_world,
+            window,
             &mut self.raster,
             &mut self.view,
         );
+        self.num_columns = width;
+        self.window = window;
         self.scale = [
             f64::from(width) / f64::from(camera.width()),
             f64::from(height) / f64::from(camera.height()),
         ];
         self.params = params.clone();
         self.drop_far();
-        self.bound.update(&self.view, self.scale, BLOCK_PX);
+        self.bound.update(&self.view, window, self.scale, BLOCK_PX);
         if params.edge_margin_px > 0 {
             self.spread_extremes();
         }
@@ -226,15 +251,16 @@ impl VisibilityBuffer {
         reason = "range-checked before the casts"
     )]
     fn pixel_index(&self, [x_px, y_px]: [f64; 2]) -> Option<usize> {
-        let x = (x_px + 0.5) * self.scale[0];
-        let y = (y_px + 0.5) * self.scale[1];
+        let [x_start, y_start] = self.window.start.map(f64::from);
+        let x = (x_px + 0.5) * self.scale[0] - x_start;
+        let y = (y_px + 0.5) * self.scale[1] - y_start;
         let (width, height) = (f64::from(self.view.width), f64::from(self.view.height));
         (x >= 0.0 && y >= 0.0 && x < width && y < height)
             .then(|| y as usize * self.view.width as usize + x as usize)
     }
 
     fn margin_px(&self) -> u32 {
-        self.params.margin_px(self.view.width)
+        self.params.margin_px(self.num_columns)
     }
 
     fn spread_extremes(&mut self) {
@@ -300,7 +326,7 @@ fn spread(
     }
 }
 
-fn buffer_size(camera: &PinholeCamera, max_side_px: u32) -> [u32; 2] {
+pub(super) fn buffer_size(camera: &PinholeCamera, max_side_px: u32) -> [u32; 2] {
     let (width, height) = (camera.width(), camera.height());
     let longer = width.max(height);
     let limit = max_side_px.max(16);

@@ -42,7 +42,7 @@ use std::sync::Arc;
 use crate::atlas::{AtlasLayout, AtlasTexture, ChartPlacer, PackError, TexelRect};
 use crate::keyframe::Keyframe;
 use crate::mesh::{DiffCounts, DiffError, DiffParams, TriMesh};
-use crate::render::MeshRuns;
+use crate::render::{MeshRuns, VisibilityParams};
 
 use super::assign::quality::TypicalQuality;
 use super::assign::{AssignError, Assignment, ColorCue, FailedFrame, chart_table};
@@ -275,6 +275,24 @@ impl StreamInit {
         let means = &self.params.transfer.visibility;
         let scores = self.params.assign.visibility.as_ref();
         scores.is_some_and(|scores| scores.max_width_px == means.max_width_px)
+    }
+
+    /// Visibility for scores or for means, whichever sees more.
+    fn view_params(&self) -> VisibilityParams {
+        let means = &self.params.transfer.visibility;
+        let Some(scores) = self.params.assign.visibility.clone() else {
+            return VisibilityParams {
+                far_m: self.far_m(),
+                ..means.clone()
+            };
+        };
+        VisibilityParams {
+            tolerance_m: scores.tolerance_m.max(means.tolerance_m),
+            relative_tolerance: scores.relative_tolerance.max(means.relative_tolerance),
+            edge_margin_px: scores.edge_margin_px.max(means.edge_margin_px),
+            far_m: self.far_m(),
+            ..scores
+        }
     }
 
     /// Forgets all.

@@ -35,7 +35,9 @@ use crate::atlas::{AtlasLayout, AtlasTexture, TexelSource, TexturePage};
 use crate::geom::{ImageError, PinholeCamera, RigidTransform};
 use crate::keyframe::{DecodedFrame, Keyframe};
 use crate::mesh::{TriMesh, TriangleId};
-use crate::render::{DepthBound, MeshRuns, VisibilityBuffer, VisibilityParams};
+use crate::render::{
+    DepthBound, Frustum, MeshRuns, PixelWindow, VisibilityBuffer, VisibilityParams, WindowFinder,
+};
 
 use super::assign::{Assignment, FailedFrame, FramePose};
 use mean::CameraSight;
@@ -340,6 +342,15 @@ struct FrameLook<'a> {
     painted: Vec<Vec<Painted>>,
 }
 
+/// Pixels of a triangle's corners; `None` unless all are in front of the camera.
+fn pixels_of(
+    camera: &PinholeCamera,
+    corners_in_camera: &[Point3<f64>; 3],
+) -> Option<[[f64; 2]; 3]> {
+    let [a, b, c] = corners_in_camera.map(|corner| camera.project(&corner));
+    Some([a?, b?, c?])
+}
+
 /// Where a camera stands.
 struct CameraPose {
     camera_from_world: RigidTransform,
@@ -422,6 +433,49 @@ impl Painter<'_> {
         (job.means, report)
     }
 
+    /// What of a frame's visibility buffer is looked at: where triangles lie that are partly hidden, or
+    /// show a mean.
+    fn window(
+        &self,
+        job: &PaintJob<'_>,
+        index: usize,
+        camera: &PinholeCamera,
+        pose: &CameraPose,
+    ) -> PixelWindow {
+        let mut finder = WindowFinder::new(camera, &self.params.visibility);
+        let is_hidden = |triangle: &&TriangleId| self.is_partly_hidden[triangle.index()];
+        let mut hidden = job.by_frame[index].iter().filter(is_hidden);
+        let is_seeing = self.params.mean_form == MeanForm::Seeing;
+        let means = || {
+            job.means
+                .iter()
+                .filter(|means| is_seeing && means.counts[index])
+        };
+        let Some(known) = job.known.map(|known| &known[index]) else {
+            // What is not known beforehand is drawn whole, without looking for the part that matters.
+            let sight = self.sight(camera, pose, None);
+            let mut means = means();
+            let is_needed =
+                hidden.next().is_some() || means.any(|m| m.texels.any_visible(self.mesh, &sight));
+            return if is_needed {
+                finder.whole()
+            } else {
+                PixelWindow::default()
+            };
+        };
+        for &triangle in hidden {
+            let corners = pose.corners_in_camera(self.mesh, triangle);
+            finder.include(pixels_of(camera, &corners));
+        }
+        let sight = self.sight(camera, pose, known.bound.as_deref());
+        for means in means() {
+            means.texels.each_visible(self.mesh, &sight, |corners| {
+                finder.include(pixels_of(camera, corners));
+            });
+        }
+        finder.window()
+    }
+
     fn sight<'b>(
         &'b self,
         camera: &'b PinholeCamera,
@@ -449,14 +503,10 @@ impl Painter<'_> {
         let means = || job.means.iter().filter(|means| means.counts[index]);
         let camera_pose = CameraPose::new(pose.world_from_camera.inverse());
         let camera_from_world = &camera_pose.camera_from_world;
-        let any_mean_in = |camera: &PinholeCamera| {
-            let bound = job.known.and_then(|known| known[index].bound.as_deref());
-            let sight = self.sight(camera, &camera_pose, bound);
-            means().any(|means| means.texels.any_visible(self.mesh, &sight))
-        };
         let known = job.known.and_then(|known| known[index].camera);
-        let may_need_mean = match known {
-            Some(camera) => any_mean_in(&camera),
+        let known_window = known.map(|camera| self.window(job, index, &camera, &camera_pose));
+        let may_need_mean = match known_window {
+            Some(window) => !window.is_empty(),
             None => means().any(|means| !means.texels.is_empty()),
         };
         if triangles.is_empty() && !may_need_mean {
@@ -468,15 +518,21 @@ impl Painter<'_> {
             Some(camera) => camera,
             None => decoded.insert(decode()?).color_camera,
         };
-        let mut hidden = triangles.iter();
-        let any_hidden = hidden.any(|triangle| self.is_partly_hidden[triangle.index()]);
-        let is_seeing = self.params.mean_form == MeanForm::Seeing;
+        let window = known_window.unwrap_or_else(|| self.window(job, index, &camera, &camera_pose));
         let mut visibility = None;
-        if any_hidden || is_seeing && any_mean_in(&camera) {
+        if !window.is_empty() {
             let params = &self.params.visibility;
-            let part = self.runs.in_view(&camera, camera_from_world, params.far_m);
+            let finder = WindowFinder::new(&camera, params);
+            let buffer_camera = finder.buffer_camera(&camera);
+            let frustum = Frustum::of_window(
+                &buffer_camera.map_err(|error| error.to_string())?,
+                camera_from_world,
+                params.far_m,
+                window,
+            );
+            let part = self.runs.in_frustum(&frustum);
             buffer
-                .update_part(self.mesh, &part, &camera, camera_from_world, params)
+                .update_window(self.mesh, &part, &camera, camera_from_world, params, window)
                 .map_err(|error| error.to_string())?;
             visibility = Some(&*buffer);
         }

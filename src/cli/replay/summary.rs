@@ -33,7 +33,11 @@ pub(super) fn of_run(run: &Run, path: &Path, bag: &BagReader, config: &Config) -
         num_threads: rayon::current_num_threads(),
         mesh: MeshSummary {
             details: mesh_details(run),
-            repairs: repairs(&run.texinit.report.flatten.manifold),
+            // Of updates it is not kept what was mended.
+            repairs: match run.updates {
+                Some(_) => Vec::new(),
+                None => repairs(&run.texinit.report.flatten.manifold),
+            },
             ..MeshSummary::default()
         },
         charts: charts(run),
@@ -248,6 +252,9 @@ fn drops(run: &Run) -> Vec<Drop> {
 }
 
 fn mesh_details(run: &Run) -> Vec<Count> {
+    if run.updates.is_some() {
+        return Vec::new();
+    }
     let manifold = &run.texinit.report.flatten.manifold;
     vec![
         Count::new("vertices merged by welding", run.num_welded_vertices as u64),
@@ -256,6 +263,22 @@ fn mesh_details(run: &Run) -> Vec<Count> {
 }
 
 fn charts(run: &Run) -> ChartSummary {
+    if let Some(updates) = &run.updates {
+        return ChartSummary {
+            details: vec![
+                Count::new("updates", updates.num_updates as u64),
+                Count::new(
+                    "chart and keyframe pairs scored in all",
+                    updates.num_pairs_scored as u64,
+                ),
+                Count::new(
+                    "triangles painted in all",
+                    updates.num_triangles_painted as u64,
+                ),
+            ],
+            ..ChartSummary::default()
+        };
+    }
     let report = &run.texinit.report;
     let distortion = &report.absorb.distortion;
     ChartSummary {

@@ -10,6 +10,7 @@ use crate::mesh::adjacency::EdgeTable;
 use crate::mesh::{TriMesh, TriangleId};
 
 use super::super::PhotometricError;
+use super::SeamParams;
 use super::nodes::Nodes;
 
 /// Samples along an edge.
@@ -161,8 +162,11 @@ pub(super) fn sample_photos(
     mesh: &TriMesh,
     labels: &[Option<u32>],
     photos: &[Option<SeamPhoto>],
-    max_step: f64,
+    params: &SeamParams,
 ) {
+    let max_step = params.max_step;
+    #[expect(clippy::cast_possible_truncation, reason = "rounding to f32 is meant")]
+    let misplaced_px = params.misplaced_px as f32;
     seams.par_iter_mut().for_each(|seam| {
         let photo_of = |side: &Side| {
             let label = labels[side.triangle as usize]?;
@@ -183,14 +187,12 @@ pub(super) fn sample_photos(
             });
             seam.steps[k] = step.filter(|step| step.iter().all(|s| f64::from(s.abs()) <= max_step));
             seam.doubts[k] = seen.map_or(0.0, |((_, first), (_, second))| {
-                (first * first + second * second).sqrt() * MISPLACED_PX + STEP_NOISE
+                (first * first + second * second).sqrt() * misplaced_px + STEP_NOISE
             });
         }
     });
 }
 
-/// How far apart two photos show a point, in pixels of the reduced photo.
-const MISPLACED_PX: f32 = 0.5;
 /// Linear light by which two photos differ without a reason.
 const STEP_NOISE: f32 = 0.002;
 

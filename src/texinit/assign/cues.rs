@@ -3,7 +3,7 @@
 use crate::geom::camera::CameraError;
 use crate::keyframe::DecodedFrame;
 use crate::mesh::TriMesh;
-use crate::render::{DepthBound, MeshPart, MeshRuns, VisibilityBuffer};
+use crate::render::{DepthBound, MeshPart, MeshRuns, PixelWindow, VisibilityBuffer, WindowFinder};
 
 use super::validity::{
     DepthProbe, TriangleView, TriangleVisibility, VertexView, depth_difference_m, view_vertices,
@@ -65,6 +65,28 @@ pub(crate) struct FrameCandidates {
 }
 
 impl FrameCandidates {
+    /// The same with what a newer column says of some triangles, ascending.
+    pub(crate) fn renewed(&self, triangles: &[u32], newer: Self) -> Self {
+        let is_old = |triangle: u32| triangles.binary_search(&triangle).is_err();
+        let kept = self.candidates.iter().filter(|c| is_old(c.triangle));
+        let mut candidates: Vec<Candidate> = kept.copied().chain(newer.candidates).collect();
+        candidates.sort_unstable_by_key(|candidate| candidate.triangle);
+        let kept = self.valid_colors.iter().filter(|(t, _)| is_old(*t));
+        let mut valid_colors: Vec<_> = kept.copied().chain(newer.valid_colors).collect();
+        valid_colors.sort_unstable_by_key(|(triangle, _)| *triangle);
+        Self {
+            candidates,
+            valid_colors,
+            // Those couple charts, and are not kept up.
+            vertex_colors: newer.vertex_colors,
+        }
+    }
+
+    /// Whether it says nothing.
+    pub(crate) fn is_empty(&self) -> bool {
+        self.candidates.is_empty() && self.vertex_colors.is_empty() && self.valid_colors.is_empty()
+    }
+
     /// Bytes that it takes.
     pub(crate) fn num_bytes(&self) -> usize {
         size_of_val(&*self.candidates)
@@ -98,15 +120,26 @@ pub(crate) fn score_frame(
 ) -> Result<FrameCandidates, CameraError> {
     let camera_from_world = pose.world_from_camera.inverse();
     let in_view = runs.in_view(&frame.color_camera, &camera_from_world, params.far_m());
-    score_part(mesh, &in_view, &in_view, pose, frame, params, workspace)
+    let sight = PartSight {
+        part: &in_view,
+        occluders: &in_view,
+        window: None,
+    };
+    score_part(mesh, &sight, pose, frame, params, workspace)
 }
 
-/// Scores those of the triangles of `part` that the frame may paint; `in_view` is all that may
-/// hide them.
+/// A part of the mesh, and what may hide it.
+pub(crate) struct PartSight<'a> {
+    pub(crate) part: &'a MeshPart,
+    pub(crate) occluders: &'a MeshPart,
+    /// Where in the visibility buffer the part lies; `None` for all over.
+    pub(crate) window: Option<PixelWindow>,
+}
+
+/// Scores those of the triangles of a part that the frame may paint.
 pub(crate) fn score_part(
     mesh: &TriMesh,
-    in_view: &MeshPart,
-    part: &MeshPart,
+    sight: &PartSight<'_>,
     pose: &FramePose,
     frame: &DecodedFrame,
     params: &AssignParams,
@@ -117,14 +150,17 @@ pub(crate) fn score_part(
         vertices,
         visibility,
     } = workspace;
+    let part = sight.part;
     view_vertices(mesh, part, &camera_from_world, frame, params, vertices);
     if let Some(visibility_params) = &params.visibility {
-        visibility.update_part(
+        let whole = WindowFinder::new(&frame.color_camera, visibility_params).whole();
+        visibility.update_window(
             mesh,
-            in_view,
+            sight.occluders,
             &frame.color_camera,
             &camera_from_world,
             visibility_params,
+            sight.window.unwrap_or(whole),
         )?;
     }
     let scorer = Scorer::new(frame, params);

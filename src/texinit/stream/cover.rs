@@ -216,7 +216,7 @@ mod tests {
 
     fn cover_of(touched: &TouchedSurface<'_>, pose: &RigidTransform) -> Option<Cover> {
         let (camera, params) = (camera(), VisibilityParams::default());
-        let view = KnownView::new(&camera, pose, 8.0, &params);
+        let view = KnownView::new(&camera, pose, &params);
         touched.cover(&view, 3.0, &mut None)
     }
 
@@ -264,7 +264,7 @@ mod tests {
         let identity = RigidTransform::identity();
         let mut buffer = VisibilityBuffer::default();
         buffer.update(&mesh, &camera, &identity, &params).unwrap();
-        let view = KnownView::new(&camera, &identity, 8.0, &params);
+        let view = KnownView::new(&camera, &identity, &params);
         let behind = [triangle(0.0, 0.0, 4.0)];
         let mut bound = Some(buffer.depth_bound().clone());
         for touched in [[&behind[..], &[]], [&[], &behind[..]]] {

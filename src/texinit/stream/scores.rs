@@ -1,12 +1,12 @@
 //! Scores of what is new, of what moved, and of what others may hide or uncover; then labels.
 
 use std::collections::BTreeMap;
+use std::ops::Range;
 use std::sync::Arc;
 
 use nalgebra::Point3;
 use rayon::prelude::*;
 
-use super::charts::StreamChart;
 use super::cover::{Cover, TouchedSurface};
 use super::keyframes::Turnover;
 use super::surface::SurfaceChange;
@@ -14,10 +14,10 @@ use super::view::KnownView;
 use super::{StreamInit, StreamUpdate};
 use crate::geom::PinholeCamera;
 use crate::keyframe::Keyframe;
-use crate::render::{BoundingBox, DepthBound, MeshPart};
+use crate::render::{BoundingBox, DepthBound, Frustum, MeshPart, WindowFinder};
 use crate::texinit::assign::Assignment;
 use crate::texinit::assign::chart_table::{ChartPlaces, chart_mesh};
-use crate::texinit::assign::cues::{FrameCandidates, FrameWorkspace, score_part};
+use crate::texinit::assign::cues::{FrameCandidates, FrameWorkspace, PartSight, score_part};
 use crate::texinit::{Decode, Observer};
 
 /// Blocks of a visibility buffer, each way, that are kept as one.
@@ -26,14 +26,21 @@ const BOUND_FACTOR: usize = 2;
 /// What a keyframe was found to see.
 struct Sighting {
     camera: PinholeCamera,
-    /// Charts that were looked at, ascending.
-    charts: Vec<usize>,
-    /// What it says of them, by chart; nothing of those that it may not paint.
+    /// What was looked at, ascending by chart.
+    charts: Vec<Looked>,
+    /// What it says of that, by chart; nothing of what it may not paint.
     parts: BTreeMap<u32, FrameCandidates>,
     /// Where what it sees may have changed, in the image of a keyframe that stayed.
     cover: Option<Cover>,
     /// How far it sees at most, where that is known.
     bound: Option<DepthBound>,
+}
+
+/// Triangles of a chart that were looked at.
+struct Looked {
+    chart: usize,
+    /// Their numbers in the chart, ascending; what the keyframe said of others stays.
+    triangles: Vec<u32>,
 }
 
 /// What all keyframes look at.
@@ -121,10 +128,19 @@ impl StreamInit {
         if let Some(cover) = sighting.cover.take() {
             change.covers.insert(number, cover);
         }
-        for index in sighting.charts {
+        for Looked {
+            chart: index,
+            triangles,
+        } in sighting.charts
+        {
             let (chart, dirt) = (&mut self.charts[index], &mut change.dirt[index]);
             #[expect(clippy::cast_possible_truncation, reason = "fewer than triangles")]
-            let part = sighting.parts.remove(&(index as u32));
+            let newer = sighting.parts.remove(&(index as u32));
+            let part = match chart.table.column(number) {
+                Some(before) => Some(before.renewed(&triangles, newer.unwrap_or_default())),
+                None => newer,
+            };
+            let part = part.filter(|part| !part.is_empty());
             if chart.table.column(number) != part.as_ref() {
                 dirt.has_new_scores = true;
                 match part {
@@ -192,18 +208,19 @@ impl Scoring<'_> {
             Some(camera) => camera,
             None => decoded.insert(decode()?).color_camera,
         };
-        let params = &self.state.params;
-        let visibility = params.assign.visibility.as_ref();
         let camera_from_world = known.pose.world_from_camera.inverse();
-        let view = KnownView::new(
-            &camera,
-            &camera_from_world,
-            self.state.far_m(),
-            visibility.unwrap_or(&params.transfer.visibility),
-        );
+        let params = self.state.view_params();
+        let view = KnownView::new(&camera, &camera_from_world, &params);
         let mut bound = known.bound.as_deref().cloned();
         let cover = self.cover(keyframe.id.0, &view, &mut bound);
-        let charts = self.charts_to_score(keyframe.id.0, &view, cover.as_ref(), bound.as_ref());
+        let mut finder = WindowFinder::new(&camera, &params);
+        let charts = self.charts_to_score(
+            keyframe.id.0,
+            &view,
+            cover.as_ref(),
+            bound.as_ref(),
+            &mut finder,
+        );
         let mut sighting = Sighting {
             camera,
             charts,
@@ -211,40 +228,40 @@ impl Scoring<'_> {
             cover,
             bound,
         };
-        if sighting.charts.is_empty() {
+        let is_unseen = self.turnover.is_unseen(keyframe.id.0);
+        let window = match is_unseen {
+            true => finder.whole(),
+            false => finder.window(),
+        };
+        if sighting.charts.is_empty() || window.is_empty() {
             return Ok(Some(sighting));
         }
         let frame = match decoded {
             Some(frame) => frame,
             None => decode()?,
         };
-        let mesh = &self.state.mesh;
-        let params = &params.assign;
-        let runs = &self.state.runs;
-        let in_view = runs.in_view(&camera, &camera_from_world, params.far_m());
-        #[expect(
-            clippy::cast_possible_truncation,
-            reason = "a mesh has 32 bits of triangles"
-        )]
-        let run = |&chart: &usize| {
-            let chart = &self.state.charts[chart];
-            let first = chart.first_triangle() as u32;
-            first..first + chart.len() as u32
+        let (mesh, params) = (&self.state.mesh, &self.state.params.assign);
+        let buffer_camera = finder.buffer_camera(&camera);
+        let frustum = Frustum::of_window(
+            &buffer_camera.map_err(|error| error.to_string())?,
+            &camera_from_world,
+            params.far_m(),
+            window,
+        );
+        let sight = PartSight {
+            part: &MeshPart::of_runs(mesh, self.runs(&sighting.charts)),
+            occluders: &self.state.runs.in_frustum(&frustum),
+            window: Some(window),
         };
-        let part = MeshPart::of_runs(mesh, sighting.charts.iter().map(run).collect());
-        let scored = score_part(
-            mesh,
-            &in_view,
-            &part,
-            &known.pose,
-            &frame,
-            params,
-            workspace,
-        )
-        .map_err(|error| error.to_string())?;
+        let scored = score_part(mesh, &sight, &known.pose, &frame, params, workspace)
+            .map_err(|error| error.to_string())?;
         sighting.parts = self.places.split(scored);
         if self.state.has_bounds() {
-            sighting.bound = Some(workspace.depth_bound().coarser(BOUND_FACTOR));
+            let newer = workspace.depth_bound().coarser(BOUND_FACTOR);
+            match &mut sighting.bound {
+                Some(bound) => bound.renew(&newer),
+                None => sighting.bound = Some(newer).filter(|_| is_unseen),
+            }
         }
         Ok(Some(sighting))
     }
@@ -268,20 +285,62 @@ impl Scoring<'_> {
         view: &KnownView<'_>,
         cover: Option<&Cover>,
         bound: Option<&DepthBound>,
-    ) -> Vec<usize> {
+        window: &mut WindowFinder,
+    ) -> Vec<Looked> {
         let may_matter = |bounds: &BoundingBox| view.may_see(bounds);
-        if !self.turnover.is_unseen(number) && !self.changed_bounds.as_ref().is_some_and(may_matter)
-        {
+        let is_unseen = self.turnover.is_unseen(number);
+        if !is_unseen && !self.changed_bounds.as_ref().is_some_and(may_matter) {
             return Vec::new();
         }
-        let charts = self.state.charts.iter().zip(&self.change.dirt).enumerate();
-        let in_view = charts.filter(|(_, (chart, _))| view.may_see(&chart.bounds));
-        let to_score = in_view.filter(|(_, (chart, dirt))| {
-            self.turnover.is_unseen(number)
-                || (dirt.is_fresh || dirt.is_moved()) && self.shows(chart, view, bound)
-                || cover.is_some_and(|cover| self.meets(cover, chart))
-        });
-        to_score.map(|(index, _)| index).collect()
+        let mut looked = Vec::new();
+        for (index, (chart, dirt)) in self.state.charts.iter().zip(&self.change.dirt).enumerate() {
+            if !view.may_see(&chart.bounds) {
+                continue;
+            }
+            let is_new = is_unseen || dirt.is_fresh || dirt.is_moved();
+            let cover = match cover {
+                _ if is_new => None,
+                Some(cover) if cover.meets(&chart.bounds.corners_m()) => Some(cover),
+                _ => continue,
+            };
+            let mut triangles = Vec::new();
+            for (triangle, of_chart) in (0_u32..).zip(&*chart.piece.chart.triangles) {
+                let corners_m: [Point3<f64>; 3] = self.state.mesh.corners_m(*of_chart);
+                let may_differ = cover.is_none_or(|cover| cover.meets(&corners_m));
+                if may_differ && !view.hides(&corners_m, bound) {
+                    triangles.push(triangle);
+                    if !is_unseen {
+                        window.include(view.corners_px(&corners_m));
+                    }
+                }
+            }
+            if !triangles.is_empty() {
+                looked.push(Looked {
+                    chart: index,
+                    triangles,
+                });
+            }
+        }
+        looked
+    }
+
+    /// Triangles of the mesh that were looked at, in runs.
+    #[expect(
+        clippy::cast_possible_truncation,
+        reason = "a mesh has 32 bits of triangles"
+    )]
+    fn runs(&self, looked: &[Looked]) -> Vec<Range<u32>> {
+        let mut runs: Vec<Range<u32>> = Vec::new();
+        for Looked { chart, triangles } in looked {
+            let first = self.state.charts[*chart].first_triangle() as u32;
+            for triangle in triangles.iter().map(|number| first + number) {
+                match runs.last_mut() {
+                    Some(run) if run.end == triangle => run.end += 1,
+                    _ => runs.push(triangle..triangle + 1),
+                }
+            }
+        }
+        runs
     }
 
     /// How far from its outline surface may matter to others, for scores and for means.
@@ -290,22 +349,5 @@ impl Scoring<'_> {
         let of_means = params.transfer.visibility.reach_px(camera);
         let of_scores = params.assign.visibility.as_ref();
         of_scores.map_or(of_means, |scores| of_means.max(scores.reach_px(camera)))
-    }
-
-    /// Whether something of a chart may show.
-    fn shows(&self, chart: &StreamChart, view: &KnownView<'_>, bound: Option<&DepthBound>) -> bool {
-        let mut triangles = chart.piece.chart.triangles.iter();
-        triangles.any(|&triangle| !view.hides(&self.state.mesh.corners_m(triangle), bound))
-    }
-
-    fn meets(&self, cover: &Cover, chart: &StreamChart) -> bool {
-        if !cover.meets(&chart.bounds.corners_m()) {
-            return false;
-        }
-        let mut triangles = chart.piece.chart.triangles.iter();
-        triangles.any(|&triangle| {
-            let corners: [Point3<f64>; 3] = self.state.mesh.corners_m(triangle);
-            cover.meets(&corners)
-        })
     }
 }

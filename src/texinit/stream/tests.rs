@@ -170,6 +170,24 @@ fn other_forms_give_their_batch_too() {
             },
             ..base.clone()
         },
+        // Some of the scene is too far, for means farther than for scores.
+        TexInitParams {
+            assign: AssignParams {
+                visibility: Some(VisibilityParams {
+                    far_m: 2.2,
+                    ..VisibilityParams::default()
+                }),
+                ..base.assign.clone()
+            },
+            transfer: TransferParams {
+                visibility: VisibilityParams {
+                    far_m: 2.6,
+                    ..base.transfer.visibility.clone()
+                },
+                ..base.transfer.clone()
+            },
+            ..base.clone()
+        },
         // The density is taken from the images.
         TexInitParams {
             density: DensityParams {

@@ -15,17 +15,16 @@ pub(super) struct KnownView<'a> {
 }
 
 impl<'a> KnownView<'a> {
-    /// Nothing deeper than `far_m` metres is looked at; what is hidden is decided by `params`.
+    /// What is hidden, and how deep it looks, is decided by `params`.
     pub(super) fn new(
         camera: &'a PinholeCamera,
         camera_from_world: &'a RigidTransform,
-        far_m: f64,
         params: &'a VisibilityParams,
     ) -> Self {
         Self {
             camera,
             camera_from_world,
-            frustum: Frustum::new(camera, camera_from_world, far_m),
+            frustum: Frustum::new(camera, camera_from_world, params.far_m),
             params,
         }
     }

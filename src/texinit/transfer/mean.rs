@@ -152,6 +152,24 @@ impl MeanTexels {
             .any(|(triangles, bounds)| frustum.may_see(bounds) && triangles.iter().any(is_visible))
     }
 
+    /// Gives `each` the corners, in the camera, of the triangles that it may see past what is known to
+    /// hide them.
+    pub(super) fn each_visible(
+        &self,
+        mesh: &TriMesh,
+        sight: &CameraSight<'_>,
+        mut each: impl FnMut(&[Point3<f64>; 3]),
+    ) {
+        let frustum = sight.frustum();
+        let chunks = self.triangles.chunks(TASK_SIZE).zip(&self.bounds);
+        for (triangles, _) in chunks.filter(|(_, bounds)| frustum.may_see(bounds)) {
+            let corners = triangles
+                .iter()
+                .filter_map(|&triangle| sight.corners(mesh, triangle));
+            corners.for_each(|corners| each(&corners));
+        }
+    }
+
     /// Adds what a group of frames sees, frame by frame.
     pub(super) fn accumulate(
         &mut self,
