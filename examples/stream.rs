@@ -117,6 +117,7 @@ fn row(painter: &StreamPainter, streamed: &Streamed) -> serde_json::Value {
         "gone": update.mesh.num_gone,
         "keyframes": streamed.capture.keyframes.len(),
         "added": update.num_frames_added,
+        "waiting": update.num_frames_waiting,
         "removed": update.num_frames_removed,
         "charts_new": update.new_charts.len(),
         "charts_changed": update.changed_charts.len(),

@@ -269,6 +269,8 @@ pub const PARAMETERS: &[Parameter] = &[
         Float(|c| &mut c.pipeline.stream.max_drift_m, 0.0, 10.0)),
     row("stream.remake_below_triangles", "", "Charts of fewer triangles beside changed surface are made anew with it.",
         Count(|c| &mut c.pipeline.stream.remake_below_triangles, 0, 1_000_000)),
+    row("stream.max_new_keyframes", "", "New keyframes that an update takes in at most, those first that see most of what no frame paints yet; the others wait for the next update. 0 for no limit.",
+        Count(|c| &mut c.pipeline.stream.max_new_frames, 0, 1_000_000)),
     row("stream.page_size_texel", "texel", "Side of the pages, at most that of the atlas.",
         Choice { words: &["256", "512", "1024", "2048", "4096", "8192", "16384"], set: texinit::set_stream_page_size, get: texinit::stream_page_size }),
     row("stream.min_used_share", "", "Pages are emptied into others while charts hold less than this share of them.",

@@ -58,6 +58,8 @@ struct Kept {
     weld: (f64, u32),
     /// The mesh as it arrived last, and as it was painted.
     prepared: Option<(Arc<TriMesh>, Arc<TriMesh>)>,
+    /// Keyframes that wait for the next update.
+    num_waiting: usize,
 }
 
 impl StreamPainter {
@@ -82,6 +84,11 @@ impl StreamPainter {
     /// What is painted; `None` before the first capture, and after an error.
     pub fn state(&self) -> Option<&StreamInit> {
         self.kept.as_ref().map(|kept| &kept.state)
+    }
+
+    /// Keyframes of the last capture that the next update takes in.
+    pub fn num_waiting(&self) -> usize {
+        self.kept.as_ref().map_or(0, |kept| kept.num_waiting)
     }
 
     /// A keyframe's images, with its gain.
@@ -137,6 +144,7 @@ impl StreamPainter {
             .state
             .update(&mesh, &capture.keyframes, &decode, &clock);
         let update = updated?;
+        kept.num_waiting = update.num_frames_waiting;
         self.kept = Some(kept);
         Ok(Streamed {
             capture,
@@ -165,6 +173,7 @@ impl StreamPainter {
             gains: GainTable::default(),
             weld,
             prepared: None,
+            num_waiting: 0,
         })
     }
 }
@@ -236,7 +245,8 @@ pub fn stream(
         let has_changed = scan.push(event);
         let is_due = match painted {
             Some((at, revision)) => {
-                revision != scan.revision() && now.seconds_since(at) >= period_s
+                let has_work = revision != scan.revision() || painter.num_waiting() > 0;
+                has_work && now.seconds_since(at) >= period_s
             }
             None => has_changed,
         };
@@ -246,6 +256,9 @@ pub fn stream(
     }
     scan.flush();
     if painted.is_none_or(|(_, revision)| revision != scan.revision()) {
+        painted = paint(&scan, &mut painter)?.or(painted);
+    }
+    while painter.num_waiting() > 0 {
         painted = paint(&scan, &mut painter)?.or(painted);
     }
     match painted {

@@ -396,6 +396,7 @@ fn paint(shared: &Shared) {
     let mut painter = Painter::new(&shared.config().pipeline.keyframe);
     let mut begun: Option<Instant> = None;
     let mut painted_revision = None;
+    let mut left_over: Option<(u64, Capture)> = None;
     while !shared.captures.is_shut() {
         let config = shared.config();
         let period = Duration::from_secs_f64(config.node.paint_period_s);
@@ -405,10 +406,19 @@ fn paint(shared: &Shared) {
             std::thread::sleep(left.min(POLL));
             continue;
         }
-        let Some(capture) = shared.captures.take(POLL) else {
+        // Of many new keyframes some wait, and come even where nothing else does.
+        let waiting = left_over.take();
+        let waiting = waiting.filter(|(num_resets, _)| *num_resets == shared.num_resets());
+        let waiting = waiting.map(|(_, capture)| capture);
+        let newest = match waiting {
+            Some(_) => shared.captures.take(Duration::ZERO),
+            None => shared.captures.take(POLL),
+        };
+        let has_waiting = waiting.is_some();
+        let Some(capture) = newest.or(waiting) else {
             continue;
         };
-        let is_forced = shared.retexture.swap(false, Ordering::Relaxed);
+        let is_forced = shared.retexture.swap(false, Ordering::Relaxed) || has_waiting;
         if painted_revision == Some(capture.revision) && !is_forced {
             continue;
         }
@@ -429,6 +439,12 @@ fn paint(shared: &Shared) {
         status.num_cached_bytes = painter.num_cached_bytes();
         match result {
             Ok(painted) => {
+                let update = painted.update.as_ref();
+                if update.is_some_and(|update| update.num_frames_waiting > 0)
+                    && shared.num_resets() == num_resets
+                {
+                    left_over = Some((num_resets, painted.capture.clone()));
+                }
                 note(&mut status, &painted);
                 let number = status.num_painted;
                 drop(status);

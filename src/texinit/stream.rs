@@ -28,6 +28,7 @@
 //! Memory, [`StreamInit::num_bytes`]: 8 bytes per texel of the pages, 16 per triangle and keyframe that
 //! may paint it, 16 per texel that shows a mean, some 300 per triangle, and 20 kB per keyframe.
 
+mod budget;
 mod charts;
 mod cover;
 mod keyframes;
@@ -68,6 +69,8 @@ pub struct StreamParams {
     pub page_size_texel: u32,
     /// Pages are compacted while charts hold less than this share of them, [0, 1].
     pub min_used_share: f64,
+    /// New keyframes that an update takes in at most; the others wait for the next. 0 for no limit.
+    pub max_new_frames: usize,
 }
 
 impl Default for StreamParams {
@@ -78,6 +81,7 @@ impl Default for StreamParams {
             remake_below_triangles: 200,
             page_size_texel: 2048,
             min_used_share: 0.5,
+            max_new_frames: 32,
         }
     }
 }
@@ -115,6 +119,8 @@ pub struct StreamUpdate {
     pub mesh: DiffCounts,
     /// Keyframes that came.
     pub num_frames_added: usize,
+    /// Keyframes that wait for the next update.
+    pub num_frames_waiting: usize,
     /// Keyframes that went.
     pub num_frames_removed: usize,
     /// Keyframes whose pose was corrected.
@@ -196,7 +202,8 @@ impl StreamInit {
     }
 
     /// Brings the state up to a mesh and keyframes, ascending by id. The images of a keyframe
-    /// never change; its pose may.
+    /// never change; its pose may. Where more are new than [`StreamParams::max_new_frames`], the same
+    /// call once more takes in others, until [`StreamUpdate::num_frames_waiting`] is 0.
     ///
     /// # Errors
     /// [`StreamError`]. A frame that does not decode is no error: it paints nothing
@@ -234,6 +241,9 @@ impl StreamInit {
         self.compact(&mut change, &mut update);
         self.lay_out(&mut change);
 
+        let (frames, num_waiting) = self.within_budget(frames);
+        let frames = &*frames;
+        update.num_frames_waiting = num_waiting;
         observer.begin(Stage::Assign, frames.len());
         let turnover = self.take_frames(frames, &mut change, &mut update);
         self.score(

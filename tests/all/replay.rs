@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use crate::command::{capture, small_tabletop, veneer_ok};
+use crate::command::{capture, said, small_tabletop, veneer, veneer_ok};
 
 fn replay(bag: &Path, out: &Path, extra: &[&str]) -> String {
     let mut args = vec!["--quiet", "replay", bag.to_str().unwrap()];
@@ -51,6 +51,41 @@ fn runs_and_thread_counts_give_the_same_bytes() {
         let hashes = replay(&bag, &dir.path().join(name), &["--threads", threads]);
         assert_eq!(hashes, reference, "{threads} threads");
     }
+}
+
+#[test]
+fn a_replay_that_follows_changes_gives_the_same_bytes_and_says_what_it_did() {
+    let dir = tempfile::tempdir().unwrap();
+    let bag = small_tabletop(dir.path(), &["--grow", "4"]);
+    let follow = ["-p", "stream.enabled:=true", "-p", "paint_period:=0"];
+    let run = |name: &str, threads| {
+        let out = dir.path().join(name);
+        let hashes = replay(&bag, &out, &[&follow[..], &["--threads", threads]].concat());
+        (hashes, report(&out))
+    };
+    let (reference, told) = run("1", "1");
+    assert_eq!(run("4", "4").0, reference);
+    let details = told["charts"]["details"].as_array().unwrap();
+    let updates = details.iter().find(|row| row["name"] == "updates").unwrap();
+    assert!(updates["value"].as_u64().unwrap() > 4, "{updates}");
+    assert!(told["coverage"]["keyframe_share"].as_f64().unwrap() > 0.1);
+    // What needs the whole texture is refused by name.
+    let refused = veneer(&[
+        "replay",
+        bag.to_str().unwrap(),
+        "--out",
+        dir.path().join("refused").to_str().unwrap(),
+        "-p",
+        "stream.enabled:=true",
+        "-p",
+        "photometric.pose:=true",
+    ]);
+    assert!(!refused.status.success());
+    assert!(
+        said(&refused).contains("photometric.pose"),
+        "{}",
+        said(&refused)
+    );
 }
 
 #[test]

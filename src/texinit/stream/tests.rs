@@ -5,11 +5,14 @@
 
 mod scan;
 
+use nalgebra::{UnitQuaternion, Vector3};
 use rayon::prelude::*;
 
 use super::*;
 use crate::atlas::{AtlasTexture, PackParams, TexelSource, TexturePage, num_shared_texels};
-use crate::geom::ImageError;
+use crate::geom::{ImageError, RigidTransform};
+use crate::keyframe::KeyframeId;
+use crate::render::VisibilityParams;
 use crate::texinit::assign::AssignParams;
 use crate::texinit::density::DensityParams;
 use crate::texinit::flatten::FlattenParams;
@@ -222,6 +225,64 @@ fn a_scan_that_outgrows_its_budget_is_made_sparser() {
     assert!(grown.has_new_pages);
     assert_eq!(grown.gone_charts, before);
     check_equality(&state, &scan, &params);
+}
+
+#[test]
+fn keyframes_wait_their_turn_and_leave_no_trace() {
+    let (params, mut stream) = (texinit_params(), stream_params());
+    stream.max_new_frames = 1;
+    let mut num_waited = 0;
+    for seed in 400..420 {
+        let mut scan = Scan::new(seed);
+        let mut draw = Draw(seed);
+        let mut state = StreamInit::new(&params, &stream).unwrap();
+        for _ in 0..4 {
+            scan.change(&mut draw);
+            let mut waiting = update(&mut state, &scan).num_frames_waiting;
+            while waiting > 0 {
+                num_waited += 1;
+                let again = update(&mut state, &scan);
+                assert_eq!(
+                    (again.num_frames_added, again.num_frames_waiting),
+                    (1, waiting - 1)
+                );
+                waiting = again.num_frames_waiting;
+            }
+            check_equality(&state, &scan, &params);
+        }
+    }
+    assert!(num_waited > 20);
+}
+
+#[test]
+fn the_keyframe_that_sees_most_of_what_is_unpainted_comes_first() {
+    let (params, mut stream) = (texinit_params(), stream_params());
+    stream.max_new_frames = 1;
+    let mut scan = Scan::new(11);
+    scan.show_all();
+    let mut state = StreamInit::new(&params, &stream).unwrap();
+    let decode = |keyframe: &Keyframe| scan.decode(keyframe);
+    state.update(&scan.mesh(), &[], &decode, &Silent).unwrap();
+    let at = |number: u32, x_m: f64| {
+        let frame = &scan.frames()[0];
+        let translation = Vector3::new(x_m, 0.0, 0.0);
+        Arc::new(Keyframe {
+            id: KeyframeId(number),
+            world_from_camera: RigidTransform::from_parts(UnitQuaternion::identity(), translation),
+            ..(**frame).clone()
+        })
+    };
+    let taken = |frames: &[Arc<Keyframe>]| {
+        let (taken, num_waiting) = state.within_budget(frames);
+        assert_eq!(num_waiting, frames.len() - taken.len());
+        taken.iter().map(|frame| frame.id.0).collect::<Vec<_>>()
+    };
+    assert_eq!(taken(&[at(3, 0.0)]), [3]);
+    // The last sees nothing, the one before less than the others, of which the newer goes first.
+    assert_eq!(
+        taken(&[at(3, 0.0), at(4, 0.0), at(5, 3.0), at(6, 50.0)]),
+        [4]
+    );
 }
 
 #[test]

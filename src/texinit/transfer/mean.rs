@@ -13,8 +13,9 @@ use crate::render::{BoundingBox, DepthBound, Frustum, VisibilityBuffer};
 use crate::texinit::assign::DepthCue;
 use crate::texinit::assign::validity::{DepthProbe, depth_difference_m};
 
+use super::painter::{CameraPose, FrameLook};
 use super::sampler::{TriangleSampler, slope_m};
-use super::{CameraPose, FrameLook, MEAN_CONFIDENCE, MeanForm, TransferParams};
+use super::{MEAN_CONFIDENCE, MeanForm, TransferParams};
 
 /// Triangles that one task works on.
 const TASK_SIZE: usize = 256;

@@ -7,10 +7,13 @@ mod forms;
 mod maps;
 
 use super::*;
+use crate::atlas::TexelSource;
+use crate::atlas::texels::for_each_texel_within;
 use crate::geom::color::{linear_from_srgb, srgb_from_linear};
 use crate::render::{RenderParams, render_textured};
 use crate::texinit::analytic_scene::{Panel, Scene, grey, red, waves};
 use crate::texinit::assign::{AssignParams, assign_poses};
+use nalgebra::Point3;
 use proptest::prelude::*;
 
 const WALL: Panel = Panel {

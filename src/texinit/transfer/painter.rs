@@ -1,0 +1,346 @@
+//! Frames painting the triangles that chose them, and adding to means.
+
+use std::sync::Arc;
+
+use nalgebra::{Point3, Rotation3};
+use rayon::prelude::*;
+
+use crate::atlas::texels::for_each_texel_within;
+use crate::atlas::{AtlasLayout, TexelSource, TexturePage};
+use crate::geom::{ImageError, PinholeCamera, RigidTransform};
+use crate::keyframe::DecodedFrame;
+use crate::mesh::{TriMesh, TriangleId};
+use crate::render::{DepthBound, Frustum, MeshRuns, PixelWindow, VisibilityBuffer, WindowFinder};
+
+use super::super::assign::{FailedFrame, FramePose};
+use super::TransferReport;
+use super::mean::{CameraSight, MeanTexels};
+use super::params::{MeanForm, TransferParams};
+use super::sampler::TriangleSampler;
+
+/// Frames that are in memory at a time.
+const GROUP_SIZE: usize = 8;
+
+/// What is to be painted.
+pub(crate) struct PaintJob<'a> {
+    /// Per frame: the triangles that it paints.
+    pub(crate) by_frame: Vec<Vec<TriangleId>>,
+    /// Triangles that show a mean where no frame paints them.
+    pub(crate) means: Vec<MeanJob>,
+    /// Per frame, what is known before it is decoded: what neither paints a triangle nor sees one with
+    /// a mean is then not decoded.
+    pub(crate) known: Option<&'a [KnownSight]>,
+}
+
+/// What is known of a frame.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct KnownSight {
+    pub(crate) camera: Option<PinholeCamera>,
+    /// How far it sees at most, in a buffer of the size that means use.
+    pub(crate) bound: Option<Arc<DepthBound>>,
+}
+
+/// Means over some of the frames.
+pub(crate) struct MeanJob {
+    pub(crate) texels: MeanTexels,
+    /// Per frame: whether it is to be added.
+    pub(crate) counts: Vec<bool>,
+}
+
+/// A painted texel of one page.
+#[derive(Clone, Copy)]
+struct Painted {
+    texel: u32,
+    srgb: [u8; 3],
+    confidence: u8,
+}
+
+/// What came of looking through one frame.
+pub(super) struct FrameLook<'a> {
+    /// Which of the frames.
+    index: usize,
+    source: TexelSource,
+    pub(super) frame: Arc<DecodedFrame>,
+    pub(super) pose: CameraPose,
+    /// Drawn only where a mean needs it.
+    pub(super) visibility: Option<&'a VisibilityBuffer>,
+    /// Per page.
+    painted: Vec<Vec<Painted>>,
+}
+
+/// Pixels of a triangle's corners; `None` unless all are in front of the camera.
+fn pixels_of(
+    camera: &PinholeCamera,
+    corners_in_camera: &[Point3<f64>; 3],
+) -> Option<[[f64; 2]; 3]> {
+    let [a, b, c] = corners_in_camera.map(|corner| camera.project(&corner));
+    Some([a?, b?, c?])
+}
+
+/// Where a camera stands.
+pub(super) struct CameraPose {
+    pub(super) camera_from_world: RigidTransform,
+    rotation: Rotation3<f64>,
+}
+
+impl CameraPose {
+    fn new(camera_from_world: RigidTransform) -> Self {
+        Self {
+            camera_from_world,
+            rotation: camera_from_world.rotation().to_rotation_matrix(),
+        }
+    }
+
+    pub(super) fn corners_in_camera(
+        &self,
+        mesh: &TriMesh,
+        triangle: TriangleId,
+    ) -> [Point3<f64>; 3] {
+        let translation = self.camera_from_world.translation();
+        mesh.corners_m(triangle)
+            .map(|corner| Point3::from(self.rotation * corner.coords + translation))
+    }
+}
+
+/// Paints triangles of one mesh and layout.
+pub(crate) struct Painter<'a> {
+    pub(crate) mesh: &'a TriMesh,
+    pub(crate) runs: &'a MeshRuns,
+    pub(crate) layout: &'a AtlasLayout,
+    pub(crate) params: &'a TransferParams,
+    pub(crate) is_partly_hidden: &'a [bool],
+}
+
+impl Painter<'_> {
+    /// Paints what the job says and nothing else: texels of its triangles that nobody sees stay as
+    /// they are. Returns the means with what the frames added to them.
+    pub(crate) fn paint_all(
+        &self,
+        mut job: PaintJob<'_>,
+        frames: &[FramePose],
+        decode: &(dyn Fn(usize) -> Result<Arc<DecodedFrame>, ImageError> + Sync),
+        progress: &(dyn Fn(usize) + Sync),
+        pages: &mut [TexturePage],
+    ) -> (Vec<MeanJob>, TransferReport) {
+        let mut report = TransferReport::default();
+        let mut buffers = vec![VisibilityBuffer::default(); GROUP_SIZE];
+        for (group_index, group) in frames.chunks(GROUP_SIZE).enumerate() {
+            let first = group_index * GROUP_SIZE;
+            let looks: Vec<Result<Option<FrameLook<'_>>, FailedFrame>> = group
+                .par_iter()
+                .zip(&mut buffers)
+                .enumerate()
+                .map(|(offset, (pose, buffer))| {
+                    let frame = first + offset;
+                    let look = self.look(pose, frame, &job, buffer, &|| decode(frame));
+                    progress(1);
+                    look.map_err(|reason| FailedFrame {
+                        #[expect(clippy::cast_possible_truncation, reason = "labels are u32")]
+                        frame: frame as u32,
+                        reason,
+                    })
+                })
+                .collect();
+            let mut seen = vec![];
+            for look in looks {
+                match look {
+                    Ok(look) => seen.extend(look),
+                    Err(failed) => report.failed_frames.push(failed),
+                }
+            }
+            report.num_assigned += scatter(&seen, pages);
+            for MeanJob { texels, counts } in &mut job.means {
+                let looks = seen.iter().filter(|look| counts[look.index]);
+                let looks: Vec<&FrameLook<'_>> = looks.collect();
+                texels.accumulate(self.mesh, self.layout, &looks, self.params);
+            }
+        }
+        for MeanJob { texels, .. } in &job.means {
+            let (num_mean, num_unseen) = texels.write(self.layout, self.params.mean_form, pages);
+            report.num_mean += num_mean;
+            report.num_unseen += num_unseen;
+        }
+        (job.means, report)
+    }
+
+    /// What of a frame's visibility buffer is looked at: where triangles lie that are partly hidden, or
+    /// show a mean.
+    fn window(
+        &self,
+        job: &PaintJob<'_>,
+        index: usize,
+        camera: &PinholeCamera,
+        pose: &CameraPose,
+    ) -> PixelWindow {
+        let mut finder = WindowFinder::new(camera, &self.params.visibility);
+        let is_hidden = |triangle: &&TriangleId| self.is_partly_hidden[triangle.index()];
+        let mut hidden = job.by_frame[index].iter().filter(is_hidden);
+        let is_seeing = self.params.mean_form == MeanForm::Seeing;
+        let means = || {
+            job.means
+                .iter()
+                .filter(|means| is_seeing && means.counts[index])
+        };
+        let Some(known) = job.known.map(|known| &known[index]) else {
+            // What is not known beforehand is drawn whole, without looking for the part that matters.
+            let sight = self.sight(camera, pose, None);
+            let mut means = means();
+            let is_needed =
+                hidden.next().is_some() || means.any(|m| m.texels.any_visible(self.mesh, &sight));
+            return if is_needed {
+                finder.whole()
+            } else {
+                PixelWindow::default()
+            };
+        };
+        for &triangle in hidden {
+            let corners = pose.corners_in_camera(self.mesh, triangle);
+            finder.include(pixels_of(camera, &corners));
+        }
+        let sight = self.sight(camera, pose, known.bound.as_deref());
+        for means in means() {
+            means.texels.each_visible(self.mesh, &sight, |corners| {
+                finder.include(pixels_of(camera, corners));
+            });
+        }
+        finder.window()
+    }
+
+    fn sight<'b>(
+        &'b self,
+        camera: &'b PinholeCamera,
+        pose: &'b CameraPose,
+        bound: Option<&'b DepthBound>,
+    ) -> CameraSight<'b> {
+        CameraSight {
+            camera,
+            pose,
+            bound,
+            params: self.params,
+        }
+    }
+
+    /// Decodes the frame and paints its triangles; nothing when no texel needs it.
+    fn look<'b>(
+        &self,
+        pose: &FramePose,
+        index: usize,
+        job: &PaintJob<'_>,
+        buffer: &'b mut VisibilityBuffer,
+        decode: &dyn Fn() -> Result<Arc<DecodedFrame>, ImageError>,
+    ) -> Result<Option<FrameLook<'b>>, String> {
+        let triangles = &*job.by_frame[index];
+        let means = || job.means.iter().filter(|means| means.counts[index]);
+        let camera_pose = CameraPose::new(pose.world_from_camera.inverse());
+        let camera_from_world = &camera_pose.camera_from_world;
+        let known = job.known.and_then(|known| known[index].camera);
+        let known_window = known.map(|camera| self.window(job, index, &camera, &camera_pose));
+        let may_need_mean = match known_window {
+            Some(window) => !window.is_empty(),
+            None => means().any(|means| !means.texels.is_empty()),
+        };
+        if triangles.is_empty() && !may_need_mean {
+            return Ok(None);
+        }
+        let decode = || decode().map_err(|error| error.to_string());
+        let mut decoded = None;
+        let camera = match known {
+            Some(camera) => camera,
+            None => decoded.insert(decode()?).color_camera,
+        };
+        let window = known_window.unwrap_or_else(|| self.window(job, index, &camera, &camera_pose));
+        let mut visibility = None;
+        if !window.is_empty() {
+            let params = &self.params.visibility;
+            let finder = WindowFinder::new(&camera, params);
+            let buffer_camera = finder.buffer_camera(&camera);
+            let frustum = Frustum::of_window(
+                &buffer_camera.map_err(|error| error.to_string())?,
+                camera_from_world,
+                params.far_m,
+                window,
+            );
+            let part = self.runs.in_frustum(&frustum);
+            buffer
+                .update_window(self.mesh, &part, &camera, camera_from_world, params, window)
+                .map_err(|error| error.to_string())?;
+            visibility = Some(&*buffer);
+        }
+        let bound = visibility.map(VisibilityBuffer::depth_bound);
+        let sight = self.sight(&camera, &camera_pose, bound);
+        let any_visible = || means().any(|m| m.texels.any_visible(self.mesh, &sight));
+        if known.is_some() && triangles.is_empty() && !any_visible() {
+            return Ok(None);
+        }
+        let frame = match decoded {
+            Some(frame) => frame,
+            None => decode()?,
+        };
+        let mut painted = vec![vec![]; self.layout.num_pages as usize];
+        for &triangle in triangles {
+            let sampler = TriangleSampler::new(
+                camera_pose.corners_in_camera(self.mesh, triangle),
+                &self.layout.corners_texel[triangle.index()],
+                &frame.color_camera,
+                self.params,
+            );
+            let Some(sampler) = sampler else { continue };
+            let hiding = visibility.filter(|_| self.is_partly_hidden[triangle.index()]);
+            let page = &mut painted[self.layout.page_of(triangle) as usize];
+            self.paint(triangle, &sampler, &frame, hiding, page);
+        }
+        Ok(Some(FrameLook {
+            index,
+            source: TexelSource::keyframe(pose.id),
+            frame,
+            pose: camera_pose,
+            visibility,
+            painted,
+        }))
+    }
+
+    fn paint(
+        &self,
+        triangle: TriangleId,
+        sampler: &TriangleSampler,
+        frame: &DecodedFrame,
+        hiding: Option<&VisibilityBuffer>,
+        out: &mut Vec<Painted>,
+    ) {
+        let page_size = self.layout.page_size_texel;
+        let corners_texel = &self.layout.corners_texel[triangle.index()];
+        let confidence = sampler.confidence();
+        for_each_texel_within(corners_texel, page_size, |x, y, weights| {
+            let texel = sampler.at(weights);
+            let is_hidden = hiding.is_some_and(|buffer| {
+                !texel.surface_point().is_some_and(|p| buffer.is_visible(&p))
+            });
+            if is_hidden {
+                return;
+            }
+            if let Some(srgb) = texel.color(&frame.color) {
+                out.push(Painted {
+                    texel: y * page_size[0] + x,
+                    srgb,
+                    confidence,
+                });
+            }
+        });
+    }
+}
+
+/// Writes the frames' texels to the pages; returns how many there were.
+fn scatter(looks: &[FrameLook<'_>], pages: &mut [TexturePage]) -> usize {
+    pages.par_iter_mut().enumerate().for_each(|(index, page)| {
+        for look in looks {
+            for texel in &look.painted[index] {
+                let index = texel.texel as usize;
+                page.srgb[index] = texel.srgb;
+                page.source[index] = look.source;
+                page.confidence[index] = texel.confidence;
+            }
+        }
+    });
+    let painted = looks.iter().flat_map(|look| &look.painted);
+    painted.map(Vec::len).sum()
+}
