@@ -492,6 +492,41 @@ mod tests {
         assert!(buffer.is_visible(&rim) && !buffer.is_near_depth_edge(&rim));
     }
 
+    proptest! {
+        /// In the window of a triangle the tests say of it what they say in the whole view.
+        #[test]
+        fn a_window_tells_of_its_triangle_what_the_whole_tells(
+            corner_m in [-1.4..1.4f64, -1.0..1.0f64],
+            size_m in 0.01..0.4f64,
+            depth_m in 1.5..3.2f64,
+        ) {
+            let camera = PinholeCamera::new([600.0, 600.0, 320.0, 240.0], 640, 480).unwrap();
+            let (params, mesh) = (VisibilityParams::default(), scene());
+            let identity = RigidTransform::identity();
+            let whole = buffer(&camera);
+            let corners = [[0.0, 0.0], [size_m, 0.0], [0.0, size_m]]
+                .map(|[x, y]| [corner_m[0] + x, corner_m[1] + y, depth_m]);
+            let seen = corners.map(|corner| seen(&camera, corner));
+            let mut finder = WindowFinder::new(&camera, &params);
+            finder.include(Some(seen.map(|point| point.position_px)));
+            let window = finder.window();
+            if window.is_empty() {
+                prop_assert!(seen.iter().all(|point| !whole.is_visible(point)));
+            } else {
+                let mut narrow = VisibilityBuffer::default();
+                let part = MeshPart::whole(&mesh);
+                narrow
+                    .update_window(&mesh, &part, &camera, &identity, &params, window)
+                    .unwrap();
+                for point in &seen {
+                    prop_assert_eq!(narrow.is_visible(point), whole.is_visible(point));
+                    let is_near = whole.is_near_depth_edge(point);
+                    prop_assert_eq!(narrow.is_near_depth_edge(point), is_near);
+                }
+            }
+        }
+    }
+
     #[test]
     fn slope_is_the_change_of_depth_per_pixel() {
         let camera = PinholeCamera::new([200.0, 200.0, 80.0, 60.0], 160, 120).unwrap();
