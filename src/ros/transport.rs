@@ -16,6 +16,7 @@ use rustdds::bytes::Bytes;
 use rustdds::dds::adapters::no_key::{
     Decode, DefaultDecoder, DeserializerAdapter, SerializerAdapter,
 };
+use rustdds::dds::statusevents::{DataWriterStatus, StatusEvented};
 use rustdds::rpc::SampleIdentity;
 use rustdds::{
     DomainParticipant, DomainParticipantBuilder, GUID, QosPolicies, RTPSEntity,
@@ -368,6 +369,19 @@ impl RawWriter {
 
     pub(super) fn gid(&self) -> Gid {
         Gid::from(self.writer.guid())
+    }
+
+    /// Readers that the writer has come to know since it was asked last: what is written from now on
+    /// reaches them.
+    pub(super) fn newly_matched(&self) -> Vec<GUID> {
+        let events = std::iter::from_fn(|| self.writer.try_recv_status());
+        let matched = events.filter_map(|event| match event {
+            DataWriterStatus::PublicationMatched {
+                current, reader, ..
+            } if current.count_change() > 0 => Some(reader),
+            _ => None,
+        });
+        matched.collect()
     }
 
     /// Writes a serialised message with its encapsulation header; never blocks.
