@@ -1,10 +1,11 @@
 //! Looks at the running node once a second, and tells what it saw.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use ros2_client::Context;
+use rustdds::GUID;
 use rustdds::bytes::Bytes;
 
 use crate::wire::event::MessageType;
@@ -14,13 +15,16 @@ use super::clock::RosClock;
 use super::control::Control;
 use super::diagnostics::{self, Finding, InputObservation, Level, Observation};
 use super::error::NodeError;
-use super::graph::EntityList;
+use super::graph::{self, EntityList};
 use super::inbox::TopicCounts;
 use super::inputs::{Input, Offer};
 use super::names::NameResolver;
 use super::output::OutputState;
 use super::status;
 use super::transport::{DdsTopic, RawWriter, TopicQos, Written};
+
+/// How often it is looked whether somebody came to listen.
+const NEWCOMER_PERIOD: Duration = Duration::from_millis(100);
 
 /// What the watcher of the graph leaves for the monitor.
 #[derive(Debug, Default)]
@@ -41,6 +45,7 @@ impl GraphView {
 
 /// What is looked at and written to.
 pub(super) struct Monitor {
+    context: Context,
     control: Arc<Control>,
     output: Arc<OutputState>,
     graph: Arc<GraphView>,
@@ -48,8 +53,8 @@ pub(super) struct Monitor {
     inputs: Vec<Input>,
     socket_remedy: Option<String>,
     node_name: String,
-    diagnostics: RawWriter,
-    status: RawWriter,
+    diagnostics: Telling,
+    status: Telling,
     previous: Vec<TopicCounts>,
     previous_at: Instant,
     /// By part: what was seen last, and what the log has.
@@ -57,6 +62,55 @@ pub(super) struct Monitor {
     told: BTreeMap<&'static str, String>,
     /// Since when a topic has publishers.
     published_since: BTreeMap<String, Instant>,
+}
+
+/// One of the two topics.
+struct Telling {
+    writer: RawWriter,
+    topic: String,
+    /// What was told last.
+    last: Bytes,
+    listeners: BTreeSet<GUID>,
+}
+
+impl Telling {
+    fn new(
+        context: &Context,
+        entities: &EntityList,
+        topic: String,
+        type_name: &str,
+    ) -> Result<Self, NodeError> {
+        let qos = TopicQos {
+            is_reliable: true,
+            is_latched: false,
+            depth: 10,
+        };
+        let writer = RawWriter::new(context, &DdsTopic::message(&topic, type_name), qos)?;
+        entities.add_writer(writer.gid());
+        Ok(Self {
+            writer,
+            topic,
+            last: Bytes::new(),
+            listeners: BTreeSet::new(),
+        })
+    }
+
+    fn tell(&mut self, message: Bytes) {
+        if let Written::Failed(reason) = self.writer.write(message.clone()) {
+            tracing::debug!("{} was not sent: {reason}", self.topic);
+        }
+        self.last = message;
+    }
+
+    /// Who comes between two messages gets the last one at once.
+    fn tell_newcomers(&mut self, context: &Context, max_readers: usize) {
+        let listeners = graph::readers(context, &self.topic, max_readers);
+        let listeners: BTreeSet<GUID> = listeners.into_keys().collect();
+        if !listeners.is_subset(&self.listeners) && !self.last.is_empty() {
+            self.tell(self.last.clone());
+        }
+        self.listeners = listeners;
+    }
 }
 
 /// What a [`Monitor`] looks at.
@@ -76,21 +130,11 @@ impl Monitor {
         entities: &EntityList,
         watched: Watched,
     ) -> Result<Self, NodeError> {
-        let topic = names.resolve("/diagnostics")?;
-        let qos = TopicQos {
-            is_reliable: true,
-            is_latched: false,
-            depth: 10,
+        let telling = |topic: &str, type_name| {
+            Telling::new(context, entities, names.resolve(topic)?, type_name)
         };
-        let diagnostics = RawWriter::new(
-            context,
-            &DdsTopic::message(&topic, DiagnosticArray::TYPE_NAME),
-            qos,
-        )?;
-        entities.add_writer(diagnostics.gid());
-        let topic = names.resolve("~/status")?;
-        let status = RawWriter::new(context, &DdsTopic::message(&topic, Status::TYPE_NAME), qos)?;
-        entities.add_writer(status.gid());
+        let diagnostics = telling("/diagnostics", DiagnosticArray::TYPE_NAME)?;
+        let status = telling("~/status", Status::TYPE_NAME)?;
         let Watched {
             control,
             output,
@@ -100,6 +144,7 @@ impl Monitor {
             socket_remedy,
         } = watched;
         Ok(Self {
+            context: context.clone(),
             control,
             output,
             graph,
@@ -117,12 +162,24 @@ impl Monitor {
         })
     }
 
-    /// Tells once in a period, without end.
+    /// Tells once in a period, and who comes in between, without end.
     pub(super) async fn run(mut self) {
         loop {
             self.tell();
-            let period = self.control.shared.config().node.diagnostics_period_s;
-            smol::Timer::after(Duration::from_secs_f64(period)).await;
+            let config = self.control.shared.config();
+            let period = Duration::from_secs_f64(config.node.diagnostics_period_s);
+            let max_readers = config.node.limits.readers;
+            let due = Instant::now() + period;
+            loop {
+                let left = due.saturating_duration_since(Instant::now());
+                if left.is_zero() {
+                    break;
+                }
+                smol::Timer::after(left.min(NEWCOMER_PERIOD)).await;
+                for telling in [&mut self.diagnostics, &mut self.status] {
+                    telling.tell_newcomers(&self.context, max_readers);
+                }
+            }
         }
     }
 
@@ -132,11 +189,8 @@ impl Monitor {
             self.log(finding);
         }
         let message = diagnostics::message(self.clock.now(), &self.node_name, &findings);
-        for (writer, message) in [(&self.diagnostics, message), (&self.status, status)] {
-            if let Written::Failed(reason) = writer.write(Bytes::from(message)) {
-                tracing::debug!("diagnostics or status were not sent: {reason}");
-            }
-        }
+        self.diagnostics.tell(Bytes::from(message));
+        self.status.tell(Bytes::from(status));
     }
 
     /// The log has a problem once, not every second, and only when it was there twice in a row;
