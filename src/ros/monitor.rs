@@ -52,6 +52,7 @@ pub(super) struct Monitor {
     clock: Arc<RosClock>,
     inputs: Vec<Input>,
     socket_remedy: Option<String>,
+    notes: Vec<String>,
     node_name: String,
     diagnostics: Telling,
     status: Telling,
@@ -121,6 +122,8 @@ pub(super) struct Watched {
     pub(super) clock: Arc<RosClock>,
     pub(super) inputs: Vec<Input>,
     pub(super) socket_remedy: Option<String>,
+    /// What the environment asks for and cannot be had.
+    pub(super) notes: Vec<String>,
 }
 
 impl Monitor {
@@ -142,6 +145,7 @@ impl Monitor {
             clock,
             inputs,
             socket_remedy,
+            notes,
         } = watched;
         Ok(Self {
             context: context.clone(),
@@ -151,6 +155,7 @@ impl Monitor {
             clock,
             inputs,
             socket_remedy,
+            notes,
             node_name: names.node().fully_qualified(),
             diagnostics,
             status,
@@ -283,6 +288,7 @@ impl Monitor {
             transports: [config.node.image_transport, config.node.depth_transport],
             memory_bytes: resident_bytes().unwrap_or(0),
             socket_remedy: self.socket_remedy.as_deref(),
+            notes: &self.notes,
             queue_bytes: shared.inbox.num_bytes(),
             journal: journal.as_ref(),
         };
