@@ -1,11 +1,10 @@
 //! Looks at the running node once a second, and tells what it saw.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use ros2_client::Context;
-use rustdds::GUID;
 use rustdds::bytes::Bytes;
 
 use crate::wire::event::MessageType;
@@ -15,7 +14,7 @@ use super::clock::RosClock;
 use super::control::Control;
 use super::diagnostics::{self, Finding, InputObservation, Level, Observation};
 use super::error::NodeError;
-use super::graph::{self, EntityList};
+use super::graph::EntityList;
 use super::inbox::TopicCounts;
 use super::inputs::{Input, Offer};
 use super::names::NameResolver;
@@ -45,7 +44,6 @@ impl GraphView {
 
 /// What is looked at and written to.
 pub(super) struct Monitor {
-    context: Context,
     control: Arc<Control>,
     output: Arc<OutputState>,
     graph: Arc<GraphView>,
@@ -71,7 +69,6 @@ struct Telling {
     topic: String,
     /// What was told last.
     last: Bytes,
-    listeners: BTreeSet<GUID>,
 }
 
 impl Telling {
@@ -92,7 +89,6 @@ impl Telling {
             writer,
             topic,
             last: Bytes::new(),
-            listeners: BTreeSet::new(),
         })
     }
 
@@ -104,13 +100,10 @@ impl Telling {
     }
 
     /// Who comes between two messages gets the last one at once.
-    fn tell_newcomers(&mut self, context: &Context, max_readers: usize) {
-        let listeners = graph::readers(context, &self.topic, max_readers);
-        let listeners: BTreeSet<GUID> = listeners.into_keys().collect();
-        if !listeners.is_subset(&self.listeners) && !self.last.is_empty() {
+    fn tell_newcomers(&mut self) {
+        if !self.writer.newly_matched().is_empty() && !self.last.is_empty() {
             self.tell(self.last.clone());
         }
-        self.listeners = listeners;
     }
 }
 
@@ -148,7 +141,6 @@ impl Monitor {
             notes,
         } = watched;
         Ok(Self {
-            context: context.clone(),
             control,
             output,
             graph,
@@ -171,10 +163,8 @@ impl Monitor {
     pub(super) async fn run(mut self) {
         loop {
             self.tell();
-            let config = self.control.shared.config();
-            let period = Duration::from_secs_f64(config.node.diagnostics_period_s);
-            let max_readers = config.node.limits.readers;
-            let due = Instant::now() + period;
+            let period_s = self.control.shared.config().node.diagnostics_period_s;
+            let due = Instant::now() + Duration::from_secs_f64(period_s);
             loop {
                 let left = due.saturating_duration_since(Instant::now());
                 if left.is_zero() {
@@ -182,7 +172,7 @@ impl Monitor {
                 }
                 smol::Timer::after(left.min(NEWCOMER_PERIOD)).await;
                 for telling in [&mut self.diagnostics, &mut self.status] {
-                    telling.tell_newcomers(&self.context, max_readers);
+                    telling.tell_newcomers();
                 }
             }
         }
