@@ -3,7 +3,7 @@
 # camera at 30 Hz for a minute, raw and compressed, with what was sent, received, lost and dropped,
 # CPU and memory; and how long a scan of 20 MB takes to an early and to a late subscriber.
 #
-#   scripts/live_numbers.sh [VENEER] [SECONDS]
+#   scripts/live_numbers.sh [VENEER] [SECONDS]      SECONDS of 0: the scan alone
 set -euo pipefail
 cd "$(dirname "$0")/.."
 veneer=$(realpath "${1:-target/release/veneer}")
@@ -14,8 +14,12 @@ python=target/tmp/venv/jazzy-live/bin/python
 export ROS_DOMAIN_ID=$((100 + RANDOM % 100)) ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST
 peer=("$python" tests/all/live_peer.py)
 work=$(mktemp -d)
-peers=()
-end() { kill "${peers[@]}" 2>/dev/null || true; rm -rf "$work"; }
+node=
+# Peers run until their standard input ends, and rclpy has its own mind about SIGTERM: all of them read
+# this, which ends when the script does.
+mkfifo "$work/open"
+exec 9<>"$work/open"
+end() { kill $node 2>/dev/null || true; rm -rf "$work"; }
 trap end EXIT
 echo "net.core.rmem_max $(cat /proc/sys/net/core/rmem_max), $(nproc) cores"
 
@@ -23,8 +27,7 @@ echo "net.core.rmem_max $(cat /proc/sys/net/core/rmem_max), $(nproc) cores"
 background() {
     local name=$1
     shift
-    "${peer[@]}" "$@" < <(sleep infinity) >"$work/$name" &
-    peers+=($!)
+    "${peer[@]}" "$@" <"$work/open" >"$work/$name" 9>&- &
 }
 wait_for() { # FILE WORDS SECONDS
     for ((i = 0; i < 10 * $3; i++)); do
@@ -35,9 +38,8 @@ wait_for() { # FILE WORDS SECONDS
     return 1
 }
 start_node() { # ARGS…
-    "$veneer" node --ros-args -p pose_source:=pose -p mesh_frame:=map --log-level error "$@" 2>/dev/null &
+    "$veneer" node --ros-args -p pose_source:=pose -p mesh_frame:=map --log-level error "$@" 2>/dev/null 9>&- &
     node=$!
-    peers+=("$node")
 }
 cpu_ticks() { # of a process' threads whose name matches
     local sum=0 task
@@ -50,16 +52,15 @@ cpu_ticks() { # of a process' threads whose name matches
     echo "$sum"
 }
 
-for kind in raw compressed; do
+kinds="raw compressed"; [ "$seconds" != 0 ] || kinds=
+for kind in $kinds; do
     flags=(); [ $kind = compressed ] && flags=(--jpeg)
     background watch watch
-    watch=${peers[-1]}
     wait_for "$work/watch" watching 20
     begun=$(date +%s.%N)
     start_node -p paint_period:=5.0
     wait_for "$work/watch" resident 20
     background camera camera --seconds "$seconds" "${flags[@]}"
-    camera=${peers[-1]}
     wait_for "$work/camera" matched 30
     streaming=$(date +%s.%N)
     before=$(cpu_ticks "$node" '^veneer-(receive|ingest)|^RustDDS')
@@ -93,8 +94,10 @@ for said in watched:
         resident, kept, decoded = (said[key] / 1e6 for key in ("resident", "keyframes", "decoded"))
         print(f"| {at:.0f} | {resident:.0f} | {kept:.0f} | {decoded:.0f} | {resident - kept - decoded:.0f} |")
 PYTHON
-    kill -TERM "$node" "$camera" "$watch" 2>/dev/null || true
-    wait "$node" || true
+    exec 9>&-
+    kill -TERM "$node"
+    wait
+    exec 9<>"$work/open"
 done
 
 # 20 MB of markers: a table-top whose texture is fine enough.
@@ -105,26 +108,30 @@ background early listen "$markers" --chatty
 wait_for "$work/early" listening 20
 background player play "$work/scan.mcap"
 wait_for "$work/player" '"sent"' 60
-settled() {
-    local last=$(stat -c %s "$work/early") now
-    while sleep 4; do
-        now=$(stat -c %s "$work/early")
-        [ "$now" = "$last" ] && grep -q '"bytes": [1-9]' "$work/early" && return
+settled() { # NAME LINES: it has said more than that, and nothing more comes for four seconds
+    local last=-1 now
+    while now=$(wc -l <"$work/$1"); [ "$now" != "$last" ] || [ "$now" -le "$2" ]; do
         last=$now
+        sleep 4
     done
 }
-settled
+# Of each, the first line says that it listens, the second that nothing has come.
+settled early 2
+before=$(wc -l <"$work/early")
 # Painted once more, all of it goes to the early subscriber, and from the history to the late one.
 "${peer[@]}" call /veneer/retexture std_srvs/srv/Trigger >"$work/retexture"
-settled
+settled early "$before"
 background late listen "$markers" --chatty --latched
-sleep 12
-"$python" - "$work" <<'PYTHON'
+settled late 2
+"$python" - "$work" "$before" <<'PYTHON'
 import json, sys
-work = sys.argv[1]
-for name in ("early", "late"):
-    lines = [json.loads(line) for line in open(f"{work}/{name}")]
-    count = lines[-1]["counts"]["/veneer/markers"]
-    since = count["first"] if name == "early" else 0.0
-    print(f"\n{name} subscriber: {count['num']} messages, {count['bytes'] / 1e6:.1f} MB in {count['last'] - since:.2f} s")
+work, at = sys.argv[1], int(sys.argv[2])
+lines = {name: [json.loads(line) for line in open(f"{work}/{name}")] for name in ("early", "late")}
+counts = {name: [said["counts"]["/veneer/markers"] for said in lines[name][1:]] for name in lines}
+before, first, last = counts["early"][at - 2], counts["early"][at - 1], counts["early"][-1]
+num, size = last["num"] - before["num"], last["bytes"] - before["bytes"]
+print(f"\nearly subscriber: {num} messages, {size / 1e6:.1f} MB in {last['last'] - first['last']:.2f} s")
+last = counts["late"][-1]
+print(f"late subscriber: {last['num']} messages, {last['bytes'] / 1e6:.1f} MB, "
+      f"the first {last['first']:.2f} s and the last {last['last']:.2f} s after it began to listen")
 PYTHON

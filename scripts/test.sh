@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
 # Everything that must hold before a change is merged: format, lints, the compute-only build,
-# documentation, all tests, and those of the feature `gpu` where there is a Vulkan driver. Needs Rust
-# and a C compiler; tests against Python and npm peers install what they need under target/, and say
-# SKIPPED where they cannot.
+# documentation, all tests, those of the feature `gpu` where there is a Vulkan driver, and those of the
+# feature `security` where there is OpenSSL. Needs Rust and a C compiler; tests against Python and npm
+# peers install what they need under target/, and say SKIPPED where they cannot.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -24,3 +24,4 @@ else
     step cargo test --locked --no-fail-fast --lib --bins --test all
 fi
 step scripts/test_gpu.sh
+step scripts/test_security.sh

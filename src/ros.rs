@@ -33,11 +33,13 @@ pub mod pacer;
 pub mod parameters;
 mod receive;
 pub mod rosout;
+pub mod security;
 mod server;
 mod service_types;
 mod services;
 pub mod socket_buffer;
 pub mod source;
+mod static_peers;
 mod status;
 pub mod transport;
 

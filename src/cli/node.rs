@@ -7,8 +7,8 @@ use clap::Args;
 
 use super::Usage;
 use crate::config::{Config, ParameterError, params_file};
-use crate::ros::env::Security;
 use crate::ros::rosout::LogLines;
+use crate::ros::security::{Asked, Security};
 use crate::ros::{Network, NodeSetup, RosArgs, node};
 
 /// What the node calls itself unless it is remapped.
@@ -17,7 +17,7 @@ const NODE_NAME: &str = "veneer";
 /// Texture a scan while it is being made, as a ROS 2 node. No ROS installation is needed.
 ///
 /// Takes `--ros-args` as every ROS 2 executable does, and ROS_DOMAIN_ID,
-/// ROS_AUTOMATIC_DISCOVERY_RANGE and ROS_LOCALHOST_ONLY from the environment.
+/// ROS_AUTOMATIC_DISCOVERY_RANGE, ROS_LOCALHOST_ONLY and ROS_SECURITY_* from the environment.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -59,8 +59,16 @@ pub(super) fn run(
     let ros_args = ros_args.unwrap_or(&default);
     let usage = |error: &dyn std::fmt::Display| Usage(error.to_string());
     let names = ros_args.resolver(NODE_NAME).map_err(|e| usage(&e))?;
-    let network = Network::from_process().map_err(|e| usage(&e))?;
-    let security = Security::from_process(ros_args.enclave.as_deref()).map_err(|e| usage(&e))?;
+    let mut network = Network::from_process().map_err(|e| usage(&e))?;
+    let asked = Security::from_process(ros_args.enclave.as_deref()).map_err(|e| usage(&e))?;
+    let security = match asked {
+        Asked::Nothing => None,
+        Asked::Keys(security) => Some(security),
+        Asked::Missing(words) => {
+            network.notes.push(words);
+            None
+        }
+    };
     let mut config = Config::default();
     let full_name = names.node().fully_qualified();
     for path in args.params_file.iter().chain(&ros_args.params_files) {

@@ -376,9 +376,9 @@ pub const PARAMETERS: &[Parameter] = &[
         Count(|c| &mut c.node.limits.path_bytes, 1, 4096)),
     row("limits.http_clients", "", "HTTP requests that are answered at once; more are turned away (node).",
         Count(|c| &mut c.node.limits.http_clients, 1, 1000)),
-    row("limits.http_request_bytes", "B", "Most that is read of an HTTP request (node).",
+    row("limits.http_request_bytes", "B", "A longer HTTP request is refused (node).",
         Count(|c| &mut c.node.limits.http_request_bytes, 64, 1 << 20)),
-    row("limits.http_silence_s", "s", "How long an HTTP client may be silent (node).",
+    row("limits.http_silence_s", "s", "How long an HTTP client may take for a whole request, or be silent while it is answered (node).",
         Int(|c| &mut c.node.limits.http_silence_s, 1, 3600)),
 
     row("eval.held_out_views", "", "Keyframes kept from the texture to judge it by; at most a tenth of all.",

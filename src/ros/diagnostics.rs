@@ -96,6 +96,8 @@ pub(super) struct Observation<'a> {
     pub(super) transports: [Transport; 2],
     pub(super) memory_bytes: u64,
     pub(super) socket_remedy: Option<&'a str>,
+    /// What the environment asks for and cannot be had, in words.
+    pub(super) notes: &'a [String],
     /// Bytes that wait to be decoded.
     pub(super) queue_bytes: usize,
     /// `None` where no journal is kept.
@@ -316,6 +318,7 @@ fn network(seen: &Observation<'_>) -> Finding {
         .iter()
         .map(|words| (Level::Error, words.clone()))
         .collect();
+    problems.extend(seen.notes.iter().map(|note| (Level::Warn, note.clone())));
     if let Some(remedy) = seen.socket_remedy {
         problems.push((Level::Warn, remedy.to_owned()));
     }

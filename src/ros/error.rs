@@ -3,6 +3,7 @@
 use super::args::ArgsError;
 use super::env::EnvError;
 use super::names::NameError;
+use super::security::SecurityError;
 
 /// Why the node could not start or go on.
 #[derive(Debug, thiserror::Error)]
@@ -13,6 +14,9 @@ pub enum NodeError {
     /// The environment.
     #[error(transparent)]
     Env(#[from] EnvError),
+    /// The keys among secured peers.
+    #[error(transparent)]
+    Security(#[from] SecurityError),
     /// A name.
     #[error(transparent)]
     Name(#[from] NameError),

@@ -7,15 +7,15 @@
 //! | `/scan.glb` | what was painted last |
 //! | `/SESSION/REVISION/scan.glb` | the same while it is that revision, for caches that go by URL; 404 after |
 //!
-//! GET and HEAD only. Peers can make it hold `limits.http_clients` threads while each is silent for
-//! `limits.http_silence_s`, and read `limits.http_request_bytes` of each request; a GLB is made once
-//! per revision, when it is asked for.
+//! GET and HEAD only. Peers can make it hold `limits.http_clients` threads, each as long as
+//! `limits.http_silence_s` for a whole request and between two parts of the answer that it takes, and read
+//! `limits.http_request_bytes` of each request. A GLB is made once per revision, when it is asked for.
 
-use std::io::{BufRead, BufReader, Read, Write};
-use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::io::{ErrorKind, Read, Write};
+use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use crate::config::{Config, NodeLimits};
 use crate::export::{EncodedPages, ExportError, TexturedMesh, glb};
@@ -25,6 +25,9 @@ use super::error::NodeError;
 
 /// How often the listener looks whether the node stops.
 const POLL: Duration = Duration::from_millis(100);
+/// How long a client that is turned away may go on sending: closing on what it sends would take the
+/// answer from it.
+const PARTING: Duration = Duration::from_millis(200);
 
 /// A GLB and what it is of.
 struct Made {
@@ -86,10 +89,14 @@ fn listen(listener: &TcpListener, server: &Arc<Server>) {
         let answer = {
             let server = Arc::clone(server);
             move || {
-                if num_before < server.limits.http_clients {
-                    // A peer that hangs up is its own affair.
-                    serve(&server, stream).ok();
-                }
+                let served = if num_before < server.limits.http_clients {
+                    serve(&server, stream)
+                } else {
+                    let words = "limits.http_clients are being answered; try again";
+                    Answer::text("503 Service Unavailable", words).turn_away(&stream)
+                };
+                // A peer that hangs up is its own affair.
+                served.ok();
                 server.num_connections.fetch_sub(1, Ordering::Relaxed);
             }
         };
@@ -103,37 +110,42 @@ fn listen(listener: &TcpListener, server: &Arc<Server>) {
 fn serve(server: &Server, stream: TcpStream) -> std::io::Result<()> {
     stream.set_nonblocking(false)?;
     let silence = Duration::from_secs(server.limits.http_silence_s.into());
-    stream.set_read_timeout(Some(silence))?;
     stream.set_write_timeout(Some(silence))?;
-    let mut reader = BufReader::new((&stream).take(server.limits.http_request_bytes as u64));
-    let mut first = String::new();
-    reader.read_line(&mut first)?;
-    // The rest of the head is read so that closing does not reset the connection.
-    let mut line = String::new();
-    while reader.read_line(&mut line)? > 2 {
-        line.clear();
-    }
-    let mut words = first.split_whitespace();
+    let Some(head) = read_head(&stream, server.limits.http_request_bytes, silence)? else {
+        let words = "the request is longer than limits.http_request_bytes";
+        let refusal = Answer::text("431 Request Header Fields Too Large", words);
+        return refusal.turn_away(&stream);
+    };
+    let mut words = head.lines().next().unwrap_or("").split_whitespace();
     let (method, path) = (words.next().unwrap_or(""), words.next().unwrap_or(""));
-    let answer = answer(server, method, path);
-    let is_head = method == "HEAD";
-    let mut out = &stream;
-    write!(
-        out,
-        "HTTP/1.1 {}\r\nContent-Type: {}\r\nContent-Length: {}\r\n{}Access-Control-Allow-Origin: *\r\nConnection: close\r\n\r\n",
-        answer.status,
-        answer.content_type,
-        answer.body.len(),
-        if answer.is_immutable {
-            "Cache-Control: max-age=31536000, immutable\r\n"
-        } else {
-            "Cache-Control: no-cache\r\n"
-        },
-    )?;
-    if !is_head {
-        out.write_all(&answer.body)?;
+    answer(server, method, path).write(&stream, method == "HEAD")
+}
+
+/// The head of a request, which must be there `within` that time, however often a byte comes. `None`
+/// where it is longer than `max_bytes`.
+fn read_head(
+    mut stream: &TcpStream,
+    max_bytes: usize,
+    within: Duration,
+) -> std::io::Result<Option<String>> {
+    let deadline = Instant::now() + within;
+    let (mut head, mut buffer) = (Vec::new(), [0; 1024]);
+    loop {
+        let left = deadline.saturating_duration_since(Instant::now());
+        if left.is_zero() {
+            return Err(ErrorKind::TimedOut.into());
+        }
+        stream.set_read_timeout(Some(left))?;
+        let num_bytes = stream.read(&mut buffer)?;
+        head.extend_from_slice(&buffer[..num_bytes]);
+        if head.len() > max_bytes {
+            return Ok(None);
+        }
+        let is_whole = head.ends_with(b"\r\n\r\n") || head.ends_with(b"\n\n");
+        if is_whole || num_bytes == 0 {
+            return Ok(Some(String::from_utf8_lossy(&head).into_owned()));
+        }
     }
-    out.flush()
 }
 
 struct Answer {
@@ -151,6 +163,37 @@ impl Answer {
             body: Arc::new(format!("{words}\n").into_bytes()),
             is_immutable: false,
         }
+    }
+
+    /// Answers a client whose request was not read.
+    fn turn_away(&self, mut stream: &TcpStream) -> std::io::Result<()> {
+        stream.set_nonblocking(false)?;
+        stream.set_write_timeout(Some(PARTING))?;
+        self.write(stream, false)?;
+        stream.shutdown(Shutdown::Write)?;
+        stream.set_read_timeout(Some(PARTING / 4))?;
+        let (begun, mut buffer) = (Instant::now(), [0; 4096]);
+        while begun.elapsed() < PARTING && stream.read(&mut buffer)? > 0 {}
+        Ok(())
+    }
+
+    fn write(&self, mut out: &TcpStream, is_head: bool) -> std::io::Result<()> {
+        write!(
+            out,
+            "HTTP/1.1 {}\r\nContent-Type: {}\r\nContent-Length: {}\r\n{}Access-Control-Allow-Origin: *\r\nConnection: close\r\n\r\n",
+            self.status,
+            self.content_type,
+            self.body.len(),
+            if self.is_immutable {
+                "Cache-Control: max-age=31536000, immutable\r\n"
+            } else {
+                "Cache-Control: no-cache\r\n"
+            },
+        )?;
+        if !is_head {
+            out.write_all(&self.body)?;
+        }
+        out.flush()
     }
 }
 
@@ -262,5 +305,62 @@ mod tests {
         ] {
             assert_eq!(wanted(path), expected, "{path}");
         }
+    }
+
+    /// What a server reads of a client that does `speak`, and how long it takes.
+    fn read_of(
+        max_bytes: usize,
+        within: Duration,
+        speak: impl FnOnce(TcpStream) + Send + 'static,
+    ) -> (std::io::Result<Option<String>>, Duration) {
+        let listener = TcpListener::bind(("127.0.0.1", 0)).unwrap();
+        let address = listener.local_addr().unwrap();
+        let client = std::thread::spawn(move || speak(TcpStream::connect(address).unwrap()));
+        let (stream, _) = listener.accept().unwrap();
+        let begun = Instant::now();
+        let read = read_head(&stream, max_bytes, within);
+        let took = begun.elapsed();
+        drop(stream);
+        client.join().unwrap();
+        (read, took)
+    }
+
+    #[test]
+    fn a_head_in_pieces_is_read_whole() {
+        let (read, _) = read_of(100, Duration::from_secs(20), |mut stream| {
+            for piece in ["GET / HT", "TP/1.1\r\nHost: x\r", "\n\r\n"] {
+                stream.write_all(piece.as_bytes()).unwrap();
+                std::thread::sleep(Duration::from_millis(20));
+            }
+        });
+        let head = read.unwrap().unwrap();
+        assert_eq!(head, "GET / HTTP/1.1\r\nHost: x\r\n\r\n");
+    }
+
+    #[test]
+    fn a_head_that_is_too_long_is_not_read_to_its_end() {
+        let (read, took) = read_of(100, Duration::from_secs(20), |mut stream| {
+            // The server may hang up meanwhile.
+            stream.write_all(&[b'a'; 5000]).ok();
+            std::thread::sleep(Duration::from_millis(50));
+        });
+        assert!(read.unwrap().is_none() && took < Duration::from_secs(10));
+    }
+
+    #[test]
+    fn a_client_that_dribbles_is_not_waited_for() {
+        let (read, took) = read_of(100, Duration::from_millis(300), |mut stream| {
+            // One byte at a time, never silent for long.
+            for _ in 0..40 {
+                if stream.write_all(b"a").is_err() {
+                    return;
+                }
+                std::thread::sleep(Duration::from_millis(100));
+            }
+        });
+        let error = read.unwrap_err();
+        let kinds = [ErrorKind::TimedOut, ErrorKind::WouldBlock];
+        assert!(kinds.contains(&error.kind()), "{error}");
+        assert!(took < Duration::from_secs(3), "{took:?}");
     }
 }

@@ -22,6 +22,9 @@ use super::output::OutputState;
 use super::status;
 use super::transport::{DdsTopic, RawWriter, TopicQos, Written};
 
+/// How often it is looked whether somebody came to listen.
+const NEWCOMER_PERIOD: Duration = Duration::from_millis(100);
+
 /// What the watcher of the graph leaves for the monitor.
 #[derive(Debug, Default)]
 pub(super) struct GraphView {
@@ -47,9 +50,10 @@ pub(super) struct Monitor {
     clock: Arc<RosClock>,
     inputs: Vec<Input>,
     socket_remedy: Option<String>,
+    notes: Vec<String>,
     node_name: String,
-    diagnostics: RawWriter,
-    status: RawWriter,
+    diagnostics: Telling,
+    status: Telling,
     previous: Vec<TopicCounts>,
     previous_at: Instant,
     /// By part: what was seen last, and what the log has.
@@ -57,6 +61,50 @@ pub(super) struct Monitor {
     told: BTreeMap<&'static str, String>,
     /// Since when a topic has publishers.
     published_since: BTreeMap<String, Instant>,
+}
+
+/// One of the two topics.
+struct Telling {
+    writer: RawWriter,
+    topic: String,
+    /// What was told last.
+    last: Bytes,
+}
+
+impl Telling {
+    fn new(
+        context: &Context,
+        entities: &EntityList,
+        topic: String,
+        type_name: &str,
+    ) -> Result<Self, NodeError> {
+        let qos = TopicQos {
+            is_reliable: true,
+            is_latched: false,
+            depth: 10,
+        };
+        let writer = RawWriter::new(context, &DdsTopic::message(&topic, type_name), qos)?;
+        entities.add_writer(writer.gid());
+        Ok(Self {
+            writer,
+            topic,
+            last: Bytes::new(),
+        })
+    }
+
+    fn tell(&mut self, message: Bytes) {
+        if let Written::Failed(reason) = self.writer.write(message.clone()) {
+            tracing::debug!("{} was not sent: {reason}", self.topic);
+        }
+        self.last = message;
+    }
+
+    /// Who comes between two messages gets the last one at once.
+    fn tell_newcomers(&mut self) {
+        if !self.writer.newly_matched().is_empty() && !self.last.is_empty() {
+            self.tell(self.last.clone());
+        }
+    }
 }
 
 /// What a [`Monitor`] looks at.
@@ -67,6 +115,8 @@ pub(super) struct Watched {
     pub(super) clock: Arc<RosClock>,
     pub(super) inputs: Vec<Input>,
     pub(super) socket_remedy: Option<String>,
+    /// What the environment asks for and cannot be had.
+    pub(super) notes: Vec<String>,
 }
 
 impl Monitor {
@@ -76,21 +126,11 @@ impl Monitor {
         entities: &EntityList,
         watched: Watched,
     ) -> Result<Self, NodeError> {
-        let topic = names.resolve("/diagnostics")?;
-        let qos = TopicQos {
-            is_reliable: true,
-            is_latched: false,
-            depth: 10,
+        let telling = |topic: &str, type_name| {
+            Telling::new(context, entities, names.resolve(topic)?, type_name)
         };
-        let diagnostics = RawWriter::new(
-            context,
-            &DdsTopic::message(&topic, DiagnosticArray::TYPE_NAME),
-            qos,
-        )?;
-        entities.add_writer(diagnostics.gid());
-        let topic = names.resolve("~/status")?;
-        let status = RawWriter::new(context, &DdsTopic::message(&topic, Status::TYPE_NAME), qos)?;
-        entities.add_writer(status.gid());
+        let diagnostics = telling("/diagnostics", DiagnosticArray::TYPE_NAME)?;
+        let status = telling("~/status", Status::TYPE_NAME)?;
         let Watched {
             control,
             output,
@@ -98,6 +138,7 @@ impl Monitor {
             clock,
             inputs,
             socket_remedy,
+            notes,
         } = watched;
         Ok(Self {
             control,
@@ -106,6 +147,7 @@ impl Monitor {
             clock,
             inputs,
             socket_remedy,
+            notes,
             node_name: names.node().fully_qualified(),
             diagnostics,
             status,
@@ -117,12 +159,22 @@ impl Monitor {
         })
     }
 
-    /// Tells once in a period, without end.
+    /// Tells once in a period, and who comes in between, without end.
     pub(super) async fn run(mut self) {
         loop {
             self.tell();
-            let period = self.control.shared.config().node.diagnostics_period_s;
-            smol::Timer::after(Duration::from_secs_f64(period)).await;
+            let period_s = self.control.shared.config().node.diagnostics_period_s;
+            let due = Instant::now() + Duration::from_secs_f64(period_s);
+            loop {
+                let left = due.saturating_duration_since(Instant::now());
+                if left.is_zero() {
+                    break;
+                }
+                smol::Timer::after(left.min(NEWCOMER_PERIOD)).await;
+                for telling in [&mut self.diagnostics, &mut self.status] {
+                    telling.tell_newcomers();
+                }
+            }
         }
     }
 
@@ -132,11 +184,8 @@ impl Monitor {
             self.log(finding);
         }
         let message = diagnostics::message(self.clock.now(), &self.node_name, &findings);
-        for (writer, message) in [(&self.diagnostics, message), (&self.status, status)] {
-            if let Written::Failed(reason) = writer.write(Bytes::from(message)) {
-                tracing::debug!("diagnostics or status were not sent: {reason}");
-            }
-        }
+        self.diagnostics.tell(Bytes::from(message));
+        self.status.tell(Bytes::from(status));
     }
 
     /// The log has a problem once, not every second, and only when it was there twice in a row;
@@ -229,6 +278,7 @@ impl Monitor {
             transports: [config.node.image_transport, config.node.depth_transport],
             memory_bytes: resident_bytes().unwrap_or(0),
             socket_remedy: self.socket_remedy.as_deref(),
+            notes: &self.notes,
             queue_bytes: shared.inbox.num_bytes(),
             journal: journal.as_ref(),
         };

@@ -4,6 +4,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use ros2_client::{Context, Node, NodeName, NodeOptions};
+use rustdds::RTPSEntity;
 use rustdds::bytes::Bytes;
 use smol::LocalExecutor;
 use smol::channel::Receiver as Stop;
@@ -16,7 +17,7 @@ use crate::wire::log::Log;
 use super::clock::RosClock;
 use super::control::Control;
 use super::engine::{Engine, Shared};
-use super::env::{Network, Security};
+use super::env::Network;
 use super::error::NodeError;
 use super::graph::{self, EntityList};
 use super::http;
@@ -28,7 +29,9 @@ use super::names::NameResolver;
 use super::output::{OutputParams, OutputState, Outputs};
 use super::receive::Receiving;
 use super::rosout::LogLines;
+use super::security::Security;
 use super::services::Services;
+use super::static_peers::{Announcing, Listener};
 use super::transport::{DdsTopic, RawWriter, TopicQos};
 use super::{socket_buffer, transport};
 
@@ -60,9 +63,6 @@ pub struct NodeSetup {
 /// # Errors
 /// [`NodeError`] when it cannot start.
 pub fn run(setup: &NodeSetup, stop: &Stop<()>) -> Result<(), NodeError> {
-    for note in &setup.network.notes {
-        tracing::warn!("{note}");
-    }
     Running::start(setup)?.until(setup, stop)
 }
 
@@ -76,13 +76,24 @@ struct Running {
     entities: Arc<EntityList>,
     output: Arc<OutputState>,
     publishing: std::thread::JoinHandle<()>,
+    announcing: Option<Announcing>,
+    /// What the environment asks for and cannot be had.
+    notes: Vec<String>,
 }
 
 impl Running {
     fn start(setup: &NodeSetup) -> Result<Self, NodeError> {
         let (names, config) = (&setup.names, &setup.config);
         let inputs = inputs::inputs(names, config)?;
+        let network = &setup.network;
+        let (listener, unknown) = Listener::new(network.domain_id, &network.static_peers)?;
+        let notes = [&network.notes[..], &unknown].concat();
+        for note in &notes {
+            tracing::warn!("{note}");
+        }
         let (context, node) = make_node(setup)?;
+        let member = context.domain_participant().guid();
+        let announcing = listener.map(|l| l.announce(member)).transpose()?;
         let entities = Arc::new(EntityList::new(&context, &names.node().fully_qualified())?);
         let capacities: Vec<usize> = inputs.iter().map(|input| input.queue_size).collect();
         let limits = InboxLimits {
@@ -139,6 +150,8 @@ impl Running {
             entities,
             output,
             publishing,
+            announcing,
+            notes,
         })
     }
 
@@ -170,6 +183,7 @@ impl Running {
             clock: Arc::clone(&self.clock),
             inputs: self.inputs.clone(),
             socket_remedy: socket_remedy(),
+            notes: self.notes.clone(),
         };
         let monitor = Monitor::new(&self.context, &setup.names, &self.entities, watched)?;
         let monitoring = executor.spawn(monitor.run());
@@ -239,6 +253,7 @@ impl Running {
             control,
             receiving,
             publishing,
+            announcing,
             ..
         } = self;
         control.shared.inbox.set_open(false);
@@ -261,6 +276,8 @@ impl Running {
         drop(control);
         drop(node);
         drop(context);
+        // Its last word is that the participant is gone.
+        drop(announcing);
         tracing::info!("stopped");
     }
 }

@@ -5,6 +5,8 @@
 //! message that goes in fragments and has such a note with a byte too many, and no client can read
 //! it. How long a datagram may be depends on the client: [`longest_to`].
 
+use std::cell::RefCell;
+use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
 use futures::StreamExt;
@@ -18,12 +20,12 @@ use super::error::NodeError;
 use super::graph::{self, Client};
 use super::transport::{DdsTopic, RawReader, RawWriter, TopicQos, Written};
 
-/// How long an answer waits for its client to be known, and for room in the writer's window.
-const CLIENT_WAIT: Duration = Duration::from_secs(1);
+/// How long an answer waits for the writer to know its client, and for room in the writer's window.
+const CLIENT_WAIT: Duration = Duration::from_secs(2);
 /// How often that is looked at.
 const CLIENT_POLL: Duration = Duration::from_millis(10);
-/// Time in which the writer is told of a client that discovery has only just found.
-const MATCH_TIME: Duration = Duration::from_millis(50);
+/// Clients that are remembered as known to the writer; an older one waits a little longer.
+const MAX_MATCHED: usize = 1000;
 /// Rest after a request that could not be read: a peer that sends nothing else gets no more.
 const REST: Duration = Duration::from_millis(20);
 /// Requests that wait; more than a person or a manager sends at once.
@@ -60,6 +62,8 @@ pub(super) struct RawServer {
     replies: DdsTopic,
     requests: RawReader,
     answers: RawWriter,
+    /// Whom the writer knows.
+    matched: RefCell<VecDeque<GUID>>,
 }
 
 impl RawServer {
@@ -81,6 +85,7 @@ impl RawServer {
             requests: RawReader::new(context, &requests, qos)?,
             answers: RawWriter::new(context, &replies, qos)?,
             replies,
+            matched: RefCell::default(),
         })
     }
 
@@ -120,8 +125,8 @@ impl RawServer {
         }
     }
 
-    /// Who waits for the answer. A client may ask before its own reader is known, and an answer
-    /// sent to nobody comes only with the next heartbeat, seconds later: so it is waited for.
+    /// Who waits for the answer, once the writer knows them. A client may ask before that: discovery
+    /// finds it first, and an answer that is written in between never reaches it.
     async fn clients(&self, request: &Request) -> Vec<Client> {
         let begun = Instant::now();
         loop {
@@ -131,14 +136,20 @@ impl RawServer {
                 .iter()
                 .find(|c| c.reader == request.identity.writer_guid);
             let clients = named.map_or_else(|| known.clone(), |client| vec![*client]);
-            if !clients.is_empty() || begun.elapsed() >= CLIENT_WAIT {
-                if begun.elapsed() > CLIENT_POLL {
-                    smol::Timer::after(MATCH_TIME).await;
-                }
+            if self.are_matched(&clients) || begun.elapsed() >= CLIENT_WAIT {
                 return clients;
             }
             smol::Timer::after(CLIENT_POLL).await;
         }
+    }
+
+    /// Whether there are clients, and the writer knows all of them.
+    fn are_matched(&self, clients: &[Client]) -> bool {
+        let mut matched = self.matched.borrow_mut();
+        matched.extend(self.answers.newly_matched());
+        let num_over = matched.len().saturating_sub(MAX_MATCHED);
+        matched.drain(..num_over);
+        !clients.is_empty() && clients.iter().all(|c| matched.contains(&c.reader))
     }
 
     async fn send(&self, mut answer: Bytes, identity: SampleIdentity, clients: &[Client]) {

@@ -2,8 +2,9 @@
 //!
 //! Readers hand over each sample as ROS serialises it, with its 4-byte encapsulation header, and
 //! with the writer and sequence number that it came with; a gap in a writer's numbers is what was
-//! lost on the way. Writers take such bytes. Services are two topics, of requests and of answers. Both are RustDDS' own, made at the participant that
-//! ros2-client's node uses, since the node's own decode on the task that receives.
+//! lost on the way. Writers take such bytes. Services are two topics, of requests and of answers.
+//! Both are RustDDS' own, made at the participant that ros2-client's node uses, since the node's own
+//! decode on the task that receives.
 
 use std::convert::Infallible;
 use std::net::Ipv4Addr;
@@ -16,6 +17,7 @@ use rustdds::bytes::Bytes;
 use rustdds::dds::adapters::no_key::{
     Decode, DefaultDecoder, DeserializerAdapter, SerializerAdapter,
 };
+use rustdds::dds::statusevents::{DataWriterStatus, StatusEvented};
 use rustdds::rpc::SampleIdentity;
 use rustdds::{
     DomainParticipant, DomainParticipantBuilder, GUID, QosPolicies, RTPSEntity,
@@ -23,8 +25,9 @@ use rustdds::{
     WriteOptionsBuilder, no_key,
 };
 
-use super::env::{Network, Security};
+use super::env::Network;
 use super::error::NodeError;
+use super::security::Security;
 
 /// Bytes of the encapsulation header.
 const HEADER_BYTES: usize = 4;
@@ -169,12 +172,14 @@ pub(super) fn participant(
         let interfaces: Vec<Ipv4Addr> = network.interfaces.clone();
         builder = builder.with_only_networks(interfaces);
     }
+    let mut what = "the DDS participant".to_owned();
     if let Some(security) = security {
         builder = secured(builder, security)?;
+        what += &format!(" with the keys of {}", security.enclave_folder().display());
     }
     builder
         .build()
-        .map_err(|error| NodeError::dds("the DDS participant", &error))
+        .map_err(|error| NodeError::dds(&what, &error))
 }
 
 #[cfg(feature = "security")]
@@ -182,14 +187,9 @@ fn secured(
     builder: DomainParticipantBuilder,
     security: &Security,
 ) -> Result<DomainParticipantBuilder, NodeError> {
-    let folder = security.enclave_folder();
-    if !folder.is_dir() {
-        let words = format!("{} is no folder", folder.display());
-        return Err(NodeError::dds("the security enclave", &words));
-    }
     // SROS2's keys have no password.
     let files = rustdds::DomainParticipantSecurityConfigFiles::with_ros_default_names(
-        folder,
+        security.enclave_folder(),
         String::new(),
     );
     Ok(builder.builtin_security(files))
@@ -200,11 +200,8 @@ fn secured(
     _: DomainParticipantBuilder,
     security: &Security,
 ) -> Result<DomainParticipantBuilder, NodeError> {
-    let words = format!(
-        "ROS_SECURITY_ENABLE asks for {}, but this build has no security: build with `--features security`",
-        security.enclave_folder().display()
-    );
-    Err(NodeError::dds("the security enclave", &words))
+    let folder = security.enclave_folder().to_owned();
+    Err(super::security::SecurityError::NotBuilt { folder }.into())
 }
 
 /// A topic as DDS calls it.
@@ -368,6 +365,19 @@ impl RawWriter {
 
     pub(super) fn gid(&self) -> Gid {
         Gid::from(self.writer.guid())
+    }
+
+    /// Readers that the writer has come to know since it was asked last: what is written from now on
+    /// reaches them.
+    pub(super) fn newly_matched(&self) -> Vec<GUID> {
+        let events = std::iter::from_fn(|| self.writer.try_recv_status());
+        let matched = events.filter_map(|event| match event {
+            DataWriterStatus::PublicationMatched {
+                current, reader, ..
+            } if current.count_change() > 0 => Some(reader),
+            _ => None,
+        });
+        matched.collect()
     }
 
     /// Writes a serialised message with its encapsulation header; never blocks.

@@ -5,8 +5,8 @@ use super::error::WireError;
 use super::geometry::WirePose;
 use super::header::{self, WireHeader};
 use super::pose_stamped::PoseStamped;
-use super::{Message, schema};
-use crate::ingest::{CorrectedBody, Event, PoseCorrection};
+use super::{Message, pose_corrections, schema};
+use crate::ingest::{CorrectedBody, Event};
 
 /// `nav_msgs/Path`.
 #[derive(Clone, Debug, PartialEq)]
@@ -24,23 +24,8 @@ impl Path<'_> {
     /// # Errors
     /// [`WireError::Frame`] for a pose that is none.
     pub fn to_event(&self) -> Result<Event, WireError> {
-        let corrections = self.poses.iter().map(|stamped| {
-            let pose = stamped.pose.to_transform();
-            Ok(PoseCorrection {
-                stamp: stamped.header.stamp,
-                pose: pose.map_err(|error| WireError::Frame {
-                    field: "poses.pose".into(),
-                    error,
-                })?,
-            })
-        });
-        let corrections = corrections.collect::<Result<_, WireError>>()?;
-        let header = self.header.to_header();
-        Ok(Event::Corrections(
-            header,
-            CorrectedBody::PoseFrame,
-            corrections,
-        ))
+        let poses = self.poses.iter().map(|p| (p.header.stamp, p.pose));
+        pose_corrections::event(&self.header, CorrectedBody::PoseFrame, poses, "poses.pose")
     }
 }
 

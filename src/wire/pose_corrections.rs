@@ -32,24 +32,35 @@ impl PoseCorrections<'_> {
     /// # Errors
     /// [`WireError::Frame`] for a pose that is none.
     pub fn to_event(&self) -> Result<Event, WireError> {
-        let corrections = self.corrections.iter().map(|correction| {
-            let pose = correction.pose.to_transform();
-            Ok(ingest::PoseCorrection {
-                stamp: correction.stamp,
-                pose: pose.map_err(|error| WireError::Frame {
-                    field: "corrections.pose".into(),
-                    error,
-                })?,
-            })
-        });
-        let corrections = corrections.collect::<Result<_, WireError>>()?;
-        let header = self.header.to_header();
-        Ok(Event::Corrections(
-            header,
+        let corrections = self.corrections.iter().map(|c| (c.stamp, c.pose));
+        event(
+            &self.header,
             CorrectedBody::Camera,
             corrections,
-        ))
+            "corrections.pose",
+        )
     }
+}
+
+/// Corrections of the poses of `body`, in the frame of `header`.
+///
+/// # Errors
+/// [`WireError::Frame`] of `field` for a pose that is none.
+pub(super) fn event(
+    header: &WireHeader<'_>,
+    body: CorrectedBody,
+    poses: impl Iterator<Item = (Stamp, WirePose)>,
+    field: &'static str,
+) -> Result<Event, WireError> {
+    let corrections = poses.map(|(stamp, pose)| {
+        let pose = pose.to_transform().map_err(|error| WireError::Frame {
+            field: field.into(),
+            error,
+        })?;
+        Ok(ingest::PoseCorrection { stamp, pose })
+    });
+    let corrections = corrections.collect::<Result<_, WireError>>()?;
+    Ok(Event::Corrections(header.to_header(), body, corrections))
 }
 
 /// Time and pose.

@@ -6,8 +6,6 @@ play BAG   publishes colour, intrinsics, poses and the mesh, then says what it s
 
 import argparse
 import dataclasses
-import json
-import struct
 import sys
 import threading
 import time
@@ -21,6 +19,8 @@ from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 from cyclonedds.util import duration
+
+from played_bag import TOPICS, mesh_numbers, read_bag, say
 
 
 @final
@@ -146,52 +146,14 @@ class DiagnosticArray(IdlStruct, typename="diagnostic_msgs.msg.dds_.DiagnosticAr
     status: sequence[DiagnosticStatus]
 
 
-def shape_mesh(data):
-    """mesh_msgs/MeshGeometryStamped as shape_msgs/Mesh: the same numbers."""
-    at = 4
-
-    def align(size):
-        nonlocal at
-        at = 4 + (at - 4 + size - 1) // size * size
-
-    def u32():
-        nonlocal at
-        align(4)
-        (value,) = struct.unpack_from("<I", data, at)
-        at += 4
-        return value
-
-    u32(), u32()
-    for _ in range(2):  # frame_id, uuid
-        length = u32()
-        at += length
-    vertices = []
-    num_vertices = u32()
-    align(8)
-    for _ in range(num_vertices):
-        vertices.append(Point(*struct.unpack_from("<3d", data, at)))
-        at += 24
-    if num_normals := u32():
-        align(8)
-        at += 24 * num_normals
-    triangles = []
-    for _ in range(u32()):
-        triangles.append(MeshTriangle(vertex_indices=list(struct.unpack_from("<3I", data, at))))
-        at += 12
-    return Mesh(triangles=triangles, vertices=vertices)
-
-
-TOPICS = {
-    "/camera/color/image_raw/compressed": ("/rgb/image/compressed", CompressedImage),
-    "/camera/color/camera_info": ("/rgb/camera_info", CameraInfo),
-    "/camera/pose": ("/pose", PoseStamped),
-    "/mesh": ("/mesh", Mesh),
+# What is played, as Cyclone knows it.
+KINDS = {
+    "/rgb/image/compressed": CompressedImage,
+    "/rgb/camera_info": CameraInfo,
+    "/pose": PoseStamped,
+    "/mesh": Mesh,
 }
 HEARD = {"/veneer/keyframes": PoseArray, "/diagnostics": DiagnosticArray}
-
-
-def say(**words):
-    print(json.dumps(words), flush=True)
 
 
 def qos(latched):
@@ -203,25 +165,29 @@ def qos(latched):
     )
 
 
-def read_bag(path):
-    from mcap.reader import make_reader
+def shape_mesh(data):
+    """mesh_msgs/MeshGeometryStamped as shape_msgs/Mesh: the same numbers."""
+    vertices, triangles = mesh_numbers(data)
+    return Mesh(
+        triangles=[MeshTriangle(vertex_indices=list(three)) for three in triangles],
+        vertices=[Point(*xyz) for xyz in vertices],
+    )
 
-    with open(path, "rb") as file:
-        for _, channel, message in make_reader(file).iter_messages():
-            if channel.topic not in TOPICS:
-                continue
-            topic, kind = TOPICS[channel.topic]
-            data = bytes(message.data)
+
+def messages_of(bag):
+    for stamp, topic, _, data in read_bag(bag):
+        kind = KINDS.get(TOPICS.get(topic))
+        if kind is not None:
             made = shape_mesh(data) if kind is Mesh else kind.deserialize(data)
-            yield message.log_time, topic, made
+            yield stamp, TOPICS[topic], made
 
 
 def play(args):
-    messages = list(read_bag(args.bag))
+    messages = list(messages_of(args.bag))
     participant = DomainParticipant(args.domain)
     writers = {
         topic: DataWriter(participant, Topic(participant, "rt" + topic, kind), qos(topic == "/mesh"))
-        for topic, kind in TOPICS.values()
+        for topic, kind in KINDS.items()
     }
     readers = {
         topic: DataReader(participant, Topic(participant, "rt" + topic, kind), qos("keyframes" in topic))

@@ -31,9 +31,7 @@ from rclpy.qos import (
 )
 from rclpy.serialization import serialize_message
 
-
-def say(**words):
-    print(json.dumps(words), flush=True)
+from played_bag import TOPICS, mesh_numbers, read_bag, say
 
 
 def message_type(name):
@@ -57,64 +55,11 @@ def shape_mesh(data):
     from geometry_msgs.msg import Point
     from shape_msgs.msg import Mesh, MeshTriangle
 
-    at = 4
-
-    def align(size):
-        nonlocal at
-        at = 4 + (at - 4 + size - 1) // size * size
-
-    def u32():
-        nonlocal at
-        align(4)
-        (value,) = struct.unpack_from("<I", data, at)
-        at += 4
-        return value
-
-    def skip_string():
-        nonlocal at
-        length = u32()
-        at += length
-
-    u32(), u32()
-    skip_string()  # frame_id
-    skip_string()  # uuid
-    vertices = []
-    for _ in range(u32()):
-        align(8)
-        x, y, z = struct.unpack_from("<3d", data, at)
-        at += 24
-        vertices.append(Point(x=x, y=y, z=z))
-    u32_count = u32()
-    if u32_count:  # normals
-        align(8)
-        at += 24 * u32_count
-    triangles = []
-    for _ in range(u32()):
-        triangles.append(
-            MeshTriangle(vertex_indices=array.array("I", struct.unpack_from("<3I", data, at)))
-        )
-        at += 12
-    return Mesh(vertices=vertices, triangles=triangles)
-
-
-def read_bag(path):
-    from mcap.reader import make_reader
-
-    with open(path, "rb") as file:
-        for schema, channel, message in make_reader(file).iter_messages():
-            yield message.log_time, channel.topic, schema.name, bytes(message.data)
-
-
-TOPICS = {
-    "/camera/color/image_raw": "/rgb/image",
-    "/camera/color/image_raw/compressed": "/rgb/image/compressed",
-    "/camera/depth/image_raw": "/depth/image",
-    "/camera/depth/image_raw/compressedDepth": "/depth/image/compressedDepth",
-    "/camera/color/camera_info": "/rgb/camera_info",
-    "/camera/depth/camera_info": "/depth/camera_info",
-    "/camera/pose": "/pose",
-    "/mesh": "/mesh",
-}
+    vertices, triangles = mesh_numbers(data)
+    return Mesh(
+        vertices=[Point(x=x, y=y, z=z) for x, y, z in vertices],
+        triangles=[MeshTriangle(vertex_indices=array.array("I", three)) for three in triangles],
+    )
 
 
 def play(args):

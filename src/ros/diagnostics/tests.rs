@@ -50,6 +50,7 @@ fn observe<'a>(
         transports: [Transport::Auto; 2],
         memory_bytes: 0,
         socket_remedy: None,
+        notes: &[],
         queue_bytes: 0,
         journal: None,
     }
@@ -115,6 +116,21 @@ fn drops_silence_and_mismatches_are_told() {
     assert!(found[1].message.contains("/mesh is published as"));
     let painting = found.iter().find(|f| f.part == "painting").unwrap();
     assert_eq!(painting.level, Level::Error);
+}
+
+#[test]
+fn what_the_environment_asks_for_in_vain_is_a_warning() {
+    let all = all_inputs();
+    let paint = PaintStatus::default();
+    let notes = ["ROS_X is set, and cannot be had".to_owned()];
+    let seen = Observation {
+        notes: &notes,
+        ..observe(silent(&all), &[], &paint)
+    };
+    let found = findings(&seen);
+    let network = found.iter().find(|f| f.part == "network").unwrap();
+    assert_eq!(network.level, Level::Warn);
+    assert!(network.message.contains("ROS_X"), "{}", network.message);
 }
 
 #[test]

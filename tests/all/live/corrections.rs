@@ -2,52 +2,40 @@
 
 use std::path::Path;
 
-use super::rig::{Rig, free_port, http_get};
-use super::{POSE_ARGS, is_settled, wait_until};
+use super::{Painted, is_settled, wait_until};
 use crate::command::{small_tabletop, veneer_ok};
 
-/// Millimetres that every corrected pose is shifted by.
+/// Metres that every corrected pose is shifted by.
 const SHIFT_M: f64 = 0.05;
-
-fn scan(port: u16) -> Vec<u8> {
-    http_get(port, "/scan.glb").1
-}
 
 #[test]
 fn a_loop_closure_repaints_a_live_scan_and_back_again() {
-    let Some(rig) = Rig::new() else { return };
-    let dir = tempfile::tempdir().unwrap();
-    let bag = small_tabletop(dir.path(), &[]);
-    let port = free_port();
-    let http = format!("http.port:={port}");
-    let mut node = rig.node(dir.path(), &[&POSE_ARGS[..], &["-p", &http]].concat());
-    let mut player = rig.peer(&["play", bag.to_str().unwrap()]);
-    assert_eq!(player.next()["matched"], true);
-    player.next();
-    let seen = wait_until(&rig, "painted", is_settled);
-    let num_keyframes = seen.number("keyframes", "keyframes");
-    let before = scan(port);
+    let Some(mut live) = Painted::new(&[]) else {
+        return;
+    };
+    let num_keyframes = live.seen.number("keyframes", "keyframes");
+    let before = live.glb();
     let correct = |shift_m: f64, num_corrected: u64| {
         let shift = shift_m.to_string();
-        let args = ["correct", bag.to_str().unwrap(), "--shift", &shift];
-        let mut closer = rig.peer(&args);
+        let args = ["correct", live.bag.to_str().unwrap(), "--shift", &shift];
+        let mut closer = live.rig.peer(&args);
         assert_eq!(closer.next()["matched"], true);
         let said = closer.next();
         assert!(said["poses"].as_u64().unwrap() >= num_keyframes, "{said}");
-        wait_until(&rig, "corrected", |seen| {
+        wait_until(&live.rig, "corrected", |seen| {
             is_settled(seen) && seen.number("keyframes", "poses corrected") == num_corrected
         })
     };
     correct(SHIFT_M, num_keyframes);
-    let shifted = scan(port);
+    let shifted = live.glb();
     assert!(shifted != before, "the poses change nothing");
     let seen = correct(0.0, 2 * num_keyframes);
     assert!(
-        scan(port) == before,
+        live.glb() == before,
         "the old poses do not give the old scan"
     );
     assert_eq!(seen.number("keyframes", "keyframes"), num_keyframes);
-    assert!(node.is_running());
+    assert!(live.node.is_running());
 }
 
 /// `bag` with a path on `/loop` at its end: each pose of the bag, shifted.

@@ -206,29 +206,3 @@ fn a_publisher_that_dies_is_told_of_and_one_that_takes_over_goes_on() {
     );
     assert!(node.is_running());
 }
-
-#[test]
-fn inputs_beyond_the_limits_are_told_with_the_limit() {
-    let Some(rig) = Rig::new() else { return };
-    let dir = tempfile::tempdir().unwrap();
-    let bag = small_tabletop(dir.path(), &[]);
-    let limits = [
-        "-p",
-        "limits.message_bytes:=2000",
-        "-p",
-        "limits.mesh_triangles:=10",
-    ];
-    let mut node = rig.node(dir.path(), &[&POSE_ARGS[..], &limits].concat());
-    let mut player = rig.peer(&["play", bag.to_str().unwrap()]);
-    assert_eq!(player.next()["matched"], true);
-    let said = player.next();
-    let image = "/rgb/image/compressed";
-    let seen = wait_until(&rig, "told", |seen| {
-        let too_long = seen.number("inputs", &format!("{image} too long"));
-        too_long > 0
-            && too_long + seen.number("inputs", &format!("{image} lost")) == sent(&said, image)
-    });
-    assert_eq!(seen.number("inputs", &format!("{image} taken")), 0);
-    assert!(seen.message("inputs").contains("limits.message_bytes"));
-    assert!(node.is_running());
-}

@@ -38,10 +38,13 @@ pub(crate) fn free_domain() -> u16 {
 }
 
 /// A domain on this host, and an interpreter with rclpy.
+#[derive(Clone)]
 pub(crate) struct Rig {
     python: PathBuf,
     /// What Python needs to find more than its own packages.
     environment: Vec<(&'static str, String)>,
+    /// The network namespace in which all runs, if not this process'.
+    namespace: Option<String>,
     pub(crate) domain: u16,
 }
 
@@ -59,6 +62,7 @@ impl Rig {
         Some(Self {
             python: python::venv(&format!("{distribution}-live"), &packages)?,
             environment: Vec::new(),
+            namespace: None,
             domain: free_domain(),
         })
     }
@@ -70,7 +74,7 @@ impl Rig {
         Some(Self {
             python,
             environment,
-            domain: self.domain,
+            ..self.clone()
         })
     }
 
@@ -79,19 +83,55 @@ impl Rig {
         let profile = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/fastdds_loopback.xml");
         let profile = profile.to_str().unwrap().to_owned();
         Self {
-            python: self.python.clone(),
             environment: vec![
                 ("FASTRTPS_DEFAULT_PROFILES_FILE", profile),
                 // With LOCALHOST, rmw would choose the addresses itself.
                 ("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET".to_owned()),
             ],
-            domain: self.domain,
+            ..self.clone()
         }
+    }
+
+    /// The same on the subnet of a network namespace.
+    pub(crate) fn within(&self, namespace: &str) -> Self {
+        Self {
+            environment: vec![("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET".to_owned())],
+            namespace: Some(namespace.to_owned()),
+            ..self.clone()
+        }
+    }
+
+    /// What runs a program where the rig is, kept to its domain.
+    fn command(&self, program: &Path) -> Command {
+        let mut command = match &self.namespace {
+            None => Command::new(program),
+            Some(namespace) => {
+                let mut command = Command::new("ip");
+                command.args(["netns", "exec", namespace]).arg(program);
+                command
+            }
+        };
+        keep_to(self.domain, &mut command);
+        command
     }
 
     /// `veneer node --ros-args ARGS…` in this domain; its log goes to `dir`.
     pub(crate) fn node(&self, dir: &Path, args: &[&str]) -> LiveNode {
-        node_in(self.domain, dir, args, &[])
+        self.node_with(dir, args, &[])
+    }
+
+    /// The same with more in its environment.
+    pub(crate) fn node_with(
+        &self,
+        dir: &Path,
+        args: &[&str],
+        environment: &[(&str, &str)],
+    ) -> LiveNode {
+        let mut command = self.command(Path::new(env!("CARGO_BIN_EXE_veneer")));
+        if self.namespace.is_some() {
+            command.env("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET");
+        }
+        started(command.envs(environment.iter().copied()), dir, args)
     }
 
     /// A peer of `live_peer.py`.
@@ -110,8 +150,7 @@ impl Rig {
         args: &[&str],
         environment: &[(&str, &str)],
     ) -> Peer {
-        let mut command = Command::new(python);
-        keep_to(self.domain, &mut command);
+        let mut command = self.command(python);
         let mut child = command
             .envs(environment.iter().copied())
             .arg(Path::new(env!("CARGO_MANIFEST_DIR")).join(script))
@@ -166,18 +205,16 @@ fn keep_to(domain: u16, command: &mut Command) {
         .env_remove("ROS_STATIC_PEERS");
 }
 
-/// `veneer node --ros-args ARGS…`; its log goes to `dir`.
-pub(crate) fn node_in(
-    domain: u16,
-    dir: &Path,
-    args: &[&str],
-    environment: &[(&str, String)],
-) -> LiveNode {
-    let log = dir.join("node.log");
+/// `veneer node --ros-args ARGS…` in a domain on this host; its log goes to `dir`.
+pub(crate) fn node_in(domain: u16, dir: &Path, args: &[&str]) -> LiveNode {
     let mut command = Command::new(env!("CARGO_BIN_EXE_veneer"));
     keep_to(domain, &mut command);
+    started(&mut command, dir, args)
+}
+
+fn started(command: &mut Command, dir: &Path, args: &[&str]) -> LiveNode {
+    let log = dir.join("node.log");
     command
-        .envs(environment.iter().map(|(name, value)| (name, value)))
         .args(["node", "--ros-args"])
         .args(args)
         .current_dir(dir)
@@ -295,6 +332,12 @@ impl Peer {
                 Err(RecvTimeoutError::Disconnected) => panic!("a peer ended without a word"),
             }
         }
+    }
+
+    /// Whether it says nothing for so long; what it said is gone.
+    pub(crate) fn is_silent_for(&mut self, time: Duration) -> bool {
+        let said = self.lines.recv_timeout(time);
+        matches!(said, Err(RecvTimeoutError::Timeout))
     }
 
     /// Tells it to stop, and gives the last thing it says.

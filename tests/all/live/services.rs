@@ -6,9 +6,8 @@ use std::time::Duration;
 use serde_json::Value;
 
 use super::raw_peer::RawPeer;
-use super::rig::{LiveNode, Rig, free_port, http_get};
-use super::{POSE_ARGS, is_settled, wait_until};
-use crate::command::small_tabletop;
+use super::rig::{LiveNode, Rig};
+use super::{Painted, is_settled, wait_until};
 
 const NODE: [&str; 4] = ["-r", "__ns:=/robot", "-r", "__node:=painter"];
 const NAME: &str = "/robot/painter";
@@ -118,37 +117,6 @@ fn parameters_are_listed_whole_described_and_set() {
 }
 
 #[test]
-fn requests_beyond_the_limits_get_no_answer_and_harm_nothing() {
-    let Some(rig) = Rig::new() else { return };
-    let dir = tempfile::tempdir().unwrap();
-    let args = ["limits.request_bytes:=300", "limits.request_names:=2"];
-    let mut node = start(&rig, dir.path(), &["-p", args[0], "-p", args[1]]);
-    let names = |num: usize| serde_json::json!({ "names": vec!["approx_sync"; num] }).to_string();
-    let get = |num| {
-        let type_name = "rcl_interfaces/srv/GetParameters";
-        call(&rig, "get_parameters", type_name, &names(num))
-    };
-    assert_eq!(get(2)["values"].as_array().unwrap().len(), 2);
-    assert_eq!(get(3)["values"].as_array().unwrap().len(), 0);
-    let long = rig.peer(&[
-        "call",
-        "/robot/painter/get_parameters",
-        "rcl_interfaces/srv/GetParameters",
-        &names(100),
-        "--wait",
-        "8",
-    ]);
-    assert_eq!({ long }.next()["error"], "no response");
-    assert!(
-        node.log().contains("limits.request_bytes"),
-        "{}",
-        node.log()
-    );
-    assert_eq!(get(1)["values"].as_array().unwrap().len(), 1);
-    assert!(node.is_running());
-}
-
-#[test]
 fn triggers_answer_and_the_log_is_published() {
     let Some(rig) = Rig::new() else { return };
     let dir = tempfile::tempdir().unwrap();
@@ -164,6 +132,22 @@ fn triggers_answer_and_the_log_is_published() {
     let log = ["take", "/rosout", "rcl_interfaces/msg/Log"];
     let log = rig.peer(&[&log[..], &how].concat()).next();
     assert_eq!(log["messages"][0]["name"], "robot.painter", "{log}");
+    assert!(node.is_running());
+}
+
+#[test]
+fn who_comes_to_listen_hears_the_diagnostics_at_once() {
+    let Some(rig) = Rig::new() else { return };
+    let dir = tempfile::tempdir().unwrap();
+    let mut node = rig.node(dir.path(), &["-p", "diagnostics.period:=600.0"]);
+    let topic = ["/diagnostics", "diagnostic_msgs/msg/DiagnosticArray"];
+    for _ in 0..2 {
+        let said = rig
+            .peer(&[&["take"], &topic[..], &["--wait", "30"]].concat())
+            .next();
+        let messages = said["messages"].as_array().cloned();
+        assert_eq!(messages.map(|m| m.len()), Some(1), "{said}");
+    }
     assert!(node.is_running());
 }
 
@@ -205,42 +189,32 @@ fn the_graph_shows_what_the_page_of_topics_lists() {
 
 #[test]
 fn refine_changes_the_texture_of_a_live_scan() {
-    let Some(rig) = Rig::new() else { return };
-    let dir = tempfile::tempdir().unwrap();
-    let bag = small_tabletop(dir.path(), &[]);
-    let port = free_port();
-    let http = format!("http.port:={port}");
-    let steps = ["-p", "refine_iterations:=3", "-p", "texsmooth.crop_px:=96"];
-    let args = [&POSE_ARGS[..], &steps, &["-p", &http]].concat();
-    let mut node = rig.node(dir.path(), &args);
-    let mut player = rig.peer(&["play", bag.to_str().unwrap()]);
-    assert_eq!(player.next()["matched"], true);
-    player.next();
-    let painted = wait_until(&rig, "painted", is_settled);
-    let num_painted = painted.number("painting", "paintings");
-    let scan = || http_get(port, "/scan.glb").1;
-    let before = scan();
+    let settings = ["refine_iterations:=3", "texsmooth.crop_px:=96"];
+    let Some(mut live) = Painted::new(&settings) else {
+        return;
+    };
+    let num_painted = live.seen.number("painting", "paintings");
+    let before = live.glb();
     let again = |service: &str| {
-        let before = rig.diagnostics().number("painting", "paintings");
-        let done = rig.call(service, "std_srvs/srv/Trigger", "{}");
+        let before = live.rig.diagnostics().number("painting", "paintings");
+        let done = live.rig.call(service, "std_srvs/srv/Trigger", "{}");
         assert_eq!(done["success"], true, "{done}");
-        wait_until(&rig, "painted again", |seen| {
+        wait_until(&live.rig, "painted again", |seen| {
             is_settled(seen) && seen.number("painting", "paintings") > before
         })
     };
     let refined = again("/veneer/refine");
     assert!(refined.number("painting", "paintings") > num_painted);
-    assert!(scan() != before, "refining changes nothing");
+    assert!(live.glb() != before, "refining changes nothing");
     // The optimisation is asked for once, not for all that comes after.
     again("/veneer/retexture");
-    assert!(scan() == before, "painting again is not what it was");
-    assert!(node.is_running());
+    assert!(live.glb() == before, "painting again is not what it was");
+    assert!(live.node.is_running());
 }
 
-/// Faces of the GLB that the node serves.
-fn num_faces_painted(port: u16) -> usize {
-    let (_, bytes) = http_get(port, "/scan.glb");
-    let glb = gltf::Gltf::from_slice(&bytes).unwrap();
+/// Faces of a GLB.
+fn num_faces(glb: &[u8]) -> usize {
+    let glb = gltf::Gltf::from_slice(glb).unwrap();
     let primitives = glb.meshes().flat_map(|mesh| mesh.primitives());
     primitives.map(|p| p.indices().unwrap().count() / 3).sum()
 }
@@ -255,17 +229,10 @@ fn mesh_tools_services_give_the_whole_scan() {
         GetUuidsRequest, GetUuidsResponse,
     };
 
-    let Some(rig) = Rig::new() else { return };
-    let dir = tempfile::tempdir().unwrap();
-    let bag = small_tabletop(dir.path(), &[]);
-    let port = free_port();
-    let http = format!("http.port:={port}");
-    let mut node = rig.node(dir.path(), &[&POSE_ARGS[..], &["-p", &http]].concat());
-    let mut player = rig.peer(&["play", bag.to_str().unwrap()]);
-    assert_eq!(player.next()["matched"], true);
-    player.next();
-    wait_until(&rig, "painted", is_settled);
-    let peer = RawPeer::new(rig.domain);
+    let Some(mut live) = Painted::new(&[]) else {
+        return;
+    };
+    let peer = RawPeer::new(live.rig.domain);
     let client = |name: &str, type_name| peer.client(&format!("/veneer/{name}"), type_name);
     let wait = Duration::from_secs(10);
     let mut uuids = client("get_uuids", GetUuids::TYPE_NAME);
@@ -277,7 +244,7 @@ fn mesh_tools_services_give_the_whole_scan() {
     let mut geometries = client("get_geometry", GetGeometry::TYPE_NAME);
     let mut materials = client("get_materials", GetMaterials::TYPE_NAME);
     let mut textures = client("get_texture", GetTexture::TYPE_NAME);
-    let (mut num_faces, mut longest) = (0, 0);
+    let (mut num_given, mut longest) = (0, 0);
     for uuid in listed {
         let request = GetGeometryRequest { uuid: uuid.clone() };
         let geometry = geometries.call(request.encode(), wait).unwrap();
@@ -299,14 +266,14 @@ fn mesh_tools_services_give_the_whole_scan() {
             (geometry.uuid, look.uuid, texture.uuid),
             (&*uuid, &*uuid, &*uuid)
         );
-        num_faces += geometry.faces.len();
+        num_given += geometry.faces.len();
         assert_eq!(look.vertex_tex_coords.len(), geometry.vertices_m.len());
         let num_bytes = texture.image.width as usize * texture.image.height as usize * 3;
         assert_eq!(texture.image.data.len(), num_bytes);
     }
     assert!((10_000..=60_000).contains(&longest), "{longest} bytes");
     // Each face of the painted mesh is in one of them.
-    assert_eq!(num_faces, num_faces_painted(port));
+    assert_eq!(num_given, num_faces(&live.glb()));
     let gone = GetGeometryRequest {
         uuid: "gone".to_owned(),
     };
@@ -316,9 +283,9 @@ fn mesh_tools_services_give_the_whole_scan() {
             .is_none()
     );
     assert!(
-        node.log().contains("there is no mesh 'gone'"),
+        live.node.log().contains("there is no mesh 'gone'"),
         "{}",
-        node.log()
+        live.node.log()
     );
-    assert!(node.is_running());
+    assert!(live.node.is_running());
 }
