@@ -307,6 +307,14 @@ impl Journal {
                 self.acknowledge()?;
             }
         }
+        // Where nothing is to be written, steps of an attempt that failed would be read back.
+        if self.has_torn_tail {
+            self.cut_tail()?;
+            if let Err(error) = self.file.sync() {
+                self.has_torn_tail = true;
+                return Err(JournalError::io(&*self.disk, "sync", error));
+            }
+        }
         Ok(())
     }
 
