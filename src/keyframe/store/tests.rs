@@ -429,3 +429,24 @@ fn of_several_poses_for_a_keyframe_the_last_holds() {
     assert_eq!(keyframe.world_from_camera, last);
     assert_eq!(keyframe.id, KeyframeId(0));
 }
+
+#[test]
+fn what_was_decoded_of_a_keyframe_goes_with_it() {
+    let mut keeps = KeyframeStore::new(&KeyframeParams::default());
+    // As the painter has it, which decodes what another store keeps.
+    let mut decodes = KeyframeStore::new(&KeyframeParams::default());
+    for i in 0..10u32 {
+        keeps.offer(frame(i64::from(i), f64::from(i) * 0.3, image(i, 0)));
+    }
+    let keyframes: Vec<_> = keeps.keyframes().cloned().collect();
+    for keyframe in &keyframes {
+        decodes.decode(keyframe).unwrap();
+    }
+    let num_bytes = decodes.cache_report().num_bytes;
+    assert!(num_bytes > 0);
+    decodes.set_decode_cache_bytes(10 * num_bytes);
+    assert_eq!(decodes.cache_report().num_bytes, num_bytes);
+    drop((keyframes, keeps));
+    decodes.set_decode_cache_bytes(10 * num_bytes);
+    assert_eq!(decodes.cache_report().num_bytes, 0);
+}
