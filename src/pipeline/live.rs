@@ -84,10 +84,11 @@ impl LiveScan {
     /// An empty scan of a stream whose events refer to `topics`. Its revisions go on from
     /// `revision`, so that those of a scan after a reset differ from those before.
     pub fn new(params: &PipelineParams, topics: &[String], revision: u64) -> Self {
+        let keyframe = params.memory.applied_to(params).keyframe;
         let keyframe = KeyframeParams {
             // The painter decodes, and has the cache.
             decode_cache_mb: 0.0,
-            ..params.memory.applied_to(params).keyframe
+            ..params.region.applied_to(&keyframe)
         };
         Self {
             assembler: Assembler::new(&params.ingest, topics),

@@ -1,13 +1,15 @@
 //! Painting one region of a scan, for several programs that share it.
 //!
 //! A mesh is cut to the region and its halo as it arrives. Charts, hidden surface and the choice of
-//! frames then go by all that is left; what is given out is the region's own triangles. Programs with
+//! frames then go by all that is left; frames that see nothing of it are not kept; what is given out is
+//! the region's own triangles. Programs with
 //! regions that tile space share nothing, and their outputs put together are the mesh, every triangle
 //! once.
 
 use std::sync::Arc;
 
 use crate::atlas::{AtlasLayout, AtlasTexture, TexelSource, restrict};
+use crate::keyframe::{KeyframeParams, SightBox};
 use crate::mesh::{Region, TriMesh, TriangleId};
 use crate::texinit::TexInit;
 
@@ -30,6 +32,20 @@ impl Default for RegionParams {
 }
 
 impl RegionParams {
+    /// The choice of keyframes, with the region and its halo as what they must see.
+    pub(super) fn applied_to(&self, keyframe: &KeyframeParams) -> KeyframeParams {
+        let part = self.region.as_ref().map(|region| {
+            SightBox::new(
+                region.min_m().map(|bound_m| bound_m - self.halo_m),
+                region.max_m().map(|bound_m| bound_m + self.halo_m),
+            )
+        });
+        KeyframeParams {
+            must_see: part.or(keyframe.must_see),
+            ..keyframe.clone()
+        }
+    }
+
     /// What is painted of a mesh that arrived.
     pub(super) fn cut(&self, mesh: Arc<TriMesh>) -> Arc<TriMesh> {
         match &self.region {
