@@ -25,6 +25,7 @@ use std::collections::BTreeMap;
 use std::io;
 use std::sync::Arc;
 
+use crate::ingest::MeshBlocks;
 use crate::keyframe::{Keyframe, KeyframeId};
 use crate::mesh::TriMesh;
 
@@ -45,6 +46,8 @@ pub struct ScanState {
     pub next_id: KeyframeId,
     /// The mesh, whole.
     pub mesh: Option<Arc<TriMesh>>,
+    /// Its blocks; none where it came whole.
+    pub mesh_blocks: Arc<MeshBlocks>,
     /// How often it had changed, which tells one mesh from another.
     pub num_mesh_updates: u64,
     /// The frame of poses and mesh, where it is known.
@@ -79,9 +82,13 @@ impl ScanState {
                 }
             }
             Change::Mesh {
-                num_updates, mesh, ..
+                num_updates,
+                mesh,
+                blocks,
+                ..
             } => {
                 self.mesh = Some(Arc::clone(mesh));
+                self.mesh_blocks = Arc::clone(blocks);
                 self.num_mesh_updates = *num_updates;
             }
         }

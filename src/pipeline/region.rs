@@ -9,6 +9,7 @@
 use std::sync::Arc;
 
 use crate::atlas::{AtlasLayout, AtlasTexture, TexelSource, restrict};
+use crate::ingest::MeshBlocks;
 use crate::keyframe::{KeyframeParams, SightBox};
 use crate::mesh::{Region, TriMesh, TriangleId};
 use crate::texinit::TexInit;
@@ -52,6 +53,22 @@ impl RegionParams {
             Some(region) => Arc::new(region.with_halo(&mesh, self.halo_m)),
             None => mesh,
         }
+    }
+
+    /// The same of a mesh in blocks.
+    pub(super) fn cut_blocks(
+        &self,
+        mesh: Arc<TriMesh>,
+        blocks: &Arc<MeshBlocks>,
+    ) -> (Arc<TriMesh>, Arc<MeshBlocks>) {
+        let blocks = match &self.region {
+            Some(region) => {
+                let keep = |triangle| region.is_near(&mesh, triangle, self.halo_m);
+                Arc::new(blocks.filtered(&mesh, keep))
+            }
+            None => Arc::clone(blocks),
+        };
+        (self.cut(mesh), blocks)
     }
 
     /// Takes away what is not the region's own; its texels become blank.
