@@ -8,6 +8,7 @@ pub mod assembler;
 mod clock;
 pub mod event;
 mod info_match;
+pub mod mesh_blocks;
 pub mod mesh_buffer;
 pub mod params;
 pub mod pose_buffer;
@@ -18,6 +19,7 @@ pub mod sync;
 
 pub use assembler::{Assembled, Assembler};
 pub use event::{CorrectedBody, Event, Header, MeshUpdate, PoseCorrection};
+pub use mesh_blocks::{MeshBlockSpan, MeshBlocks, MeshBlocksError};
 pub use params::{IngestLimits, IngestParams, PoseSource, ReportLimits};
 pub use report::IngestReport;
 pub use source::{EventSource, Rejection, TimedEvent};

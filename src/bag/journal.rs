@@ -25,6 +25,7 @@ use std::collections::BTreeMap;
 use std::io;
 use std::sync::Arc;
 
+use crate::ingest::MeshBlocks;
 use crate::keyframe::{Keyframe, KeyframeId};
 use crate::mesh::TriMesh;
 
@@ -45,6 +46,8 @@ pub struct ScanState {
     pub next_id: KeyframeId,
     /// The mesh, whole.
     pub mesh: Option<Arc<TriMesh>>,
+    /// Its blocks; none where it came whole.
+    pub mesh_blocks: Arc<MeshBlocks>,
     /// How often it had changed, which tells one mesh from another.
     pub num_mesh_updates: u64,
     /// The frame of poses and mesh, where it is known.
@@ -79,9 +82,13 @@ impl ScanState {
                 }
             }
             Change::Mesh {
-                num_updates, mesh, ..
+                num_updates,
+                mesh,
+                blocks,
+                ..
             } => {
                 self.mesh = Some(Arc::clone(mesh));
+                self.mesh_blocks = Arc::clone(blocks);
                 self.num_mesh_updates = *num_updates;
             }
         }
@@ -305,6 +312,14 @@ impl Journal {
             self.written.note(&step, crc, bytes.len() as u64);
             if self.written.num_bytes - self.acknowledged.num_bytes > SYNC_BYTES {
                 self.acknowledge()?;
+            }
+        }
+        // Where nothing is to be written, steps of an attempt that failed would be read back.
+        if self.has_torn_tail {
+            self.cut_tail()?;
+            if let Err(error) = self.file.sync() {
+                self.has_torn_tail = true;
+                return Err(JournalError::io(&*self.disk, "sync", error));
             }
         }
         Ok(())

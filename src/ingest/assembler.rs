@@ -16,6 +16,7 @@ use std::sync::Arc;
 use super::clock::nanos_from_seconds;
 use super::event::{Event, Header, MeshUpdate, PoseCorrection, StampedTransform};
 use super::info_match::{InfoMatcher, Matched};
+use super::mesh_blocks::{MeshBlocks, MeshBlocksError};
 use super::mesh_buffer::MeshBuffer;
 use super::params::{IngestLimits, IngestParams};
 use super::pose_buffer::{LookupError, TransformRefusal, normalized_frame};
@@ -118,6 +119,8 @@ pub struct Assembler {
     frames: VecDeque<WaitingFrame>,
     meshes: VecDeque<WaitingMesh>,
     mesh: MeshBuffer,
+    /// Of the mesh that was given out last.
+    mesh_blocks: Arc<MeshBlocks>,
     corrections: Vec<PoseCorrection>,
     limits: IngestLimits,
     now: Stamp,
@@ -160,6 +163,7 @@ impl Assembler {
             frames: VecDeque::new(),
             meshes: VecDeque::new(),
             mesh: MeshBuffer::default(),
+            mesh_blocks: Arc::default(),
             corrections: Vec::new(),
             limits: params.limits,
             now: Stamp::default(),
@@ -170,6 +174,26 @@ impl Assembler {
     /// The counts so far.
     pub fn report(&self) -> &IngestReport {
         &self.report
+    }
+
+    /// The blocks of the mesh that was given out last.
+    pub fn mesh_blocks(&self) -> &Arc<MeshBlocks> {
+        &self.mesh_blocks
+    }
+
+    /// Goes on with a mesh in the world frame that an earlier run gave out: blocks that come replace
+    /// its blocks.
+    ///
+    /// # Errors
+    /// [`MeshBlocksError`] where `blocks` are those of another mesh.
+    pub fn resume_mesh(
+        &mut self,
+        mesh: Arc<TriMesh>,
+        blocks: Arc<MeshBlocks>,
+    ) -> Result<(), MeshBlocksError> {
+        self.mesh = MeshBuffer::resumed(mesh, &blocks)?;
+        self.mesh_blocks = blocks;
+        Ok(())
     }
 
     /// Images and meshes that still wait for something.
@@ -473,7 +497,10 @@ impl Assembler {
         }
         if has_changed {
             match self.mesh.assembled() {
-                Ok(mesh) => out.push(Assembled::Mesh(mesh)),
+                Ok((mesh, blocks)) => {
+                    self.mesh_blocks = Arc::new(blocks);
+                    out.push(Assembled::Mesh(mesh));
+                }
                 Err(error) => self.assume(&format!("the mesh is not given out: {error}")),
             }
         }

@@ -7,6 +7,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use super::event::{MeshBlockKey, MeshUpdate};
+use super::mesh_blocks::{MeshBlocks, MeshBlocksError, joined};
 use super::params::IngestLimits;
 use crate::geom::RigidTransform;
 use crate::mesh::{MeshError, TriMesh};
@@ -31,6 +32,17 @@ pub struct MeshBuffer {
 }
 
 impl MeshBuffer {
+    /// A mesh that was assembled before, in the world frame.
+    ///
+    /// # Errors
+    /// [`MeshBlocksError`] where `blocks` are those of another mesh.
+    pub fn resumed(mesh: Arc<TriMesh>, blocks: &MeshBlocks) -> Result<Self, MeshBlocksError> {
+        Ok(Self {
+            block_by_key: blocks.split(&mesh)?.into_iter().collect(),
+            whole: blocks.is_whole().then_some(mesh),
+        })
+    }
+
     /// Applies an update that is in a frame of its own. A whole mesh removes all blocks, blocks
     /// remove a whole mesh.
     pub fn apply(&mut self, update: MeshUpdate, world_from_mesh: &RigidTransform) {
@@ -102,32 +114,17 @@ impl MeshBuffer {
         self.block_by_key.len()
     }
 
-    /// The mesh, all blocks joined.
+    /// The mesh, all blocks joined, and which part of it is which.
     ///
     /// # Errors
     /// [`MeshError::TooLarge`] when the blocks together have too many vertices or triangles.
-    pub fn assembled(&self) -> Result<Arc<TriMesh>, MeshError> {
+    pub fn assembled(&self) -> Result<(Arc<TriMesh>, MeshBlocks), MeshError> {
         if let Some(whole) = &self.whole {
-            return Ok(whole.clone());
+            return Ok((whole.clone(), MeshBlocks::default()));
         }
-        let blocks = || self.block_by_key.values();
-        let num_vertices = blocks().map(TriMesh::num_vertices).sum();
-        let num_triangles = blocks().map(TriMesh::num_triangles).sum();
-        if u32::try_from(num_vertices).is_err() || u32::try_from(num_triangles).is_err() {
-            return Err(MeshError::TooLarge {
-                num_vertices,
-                num_triangles,
-            });
-        }
-        let mut positions_m = Vec::with_capacity(num_vertices);
-        let mut triangles = Vec::with_capacity(num_triangles);
-        for block in blocks() {
-            #[expect(clippy::cast_possible_truncation, reason = "the sum was checked")]
-            let first = positions_m.len() as u32;
-            positions_m.extend_from_slice(block.positions_m());
-            triangles.extend(block.triangles().iter().map(|t| t.map(|v| v + first)));
-        }
-        TriMesh::from_soup(positions_m, triangles).map(|(mesh, _)| Arc::new(mesh))
+        let blocks = self.block_by_key.iter();
+        let (mesh, blocks) = joined(blocks.map(|(key, block)| (*key, block)))?;
+        Ok((Arc::new(mesh), blocks))
     }
 }
 
@@ -163,7 +160,7 @@ mod tests {
     }
 
     fn xs(buffer: &MeshBuffer) -> Vec<f64> {
-        let mesh = buffer.assembled().unwrap();
+        let (mesh, _) = buffer.assembled().unwrap();
         mesh.triangles()
             .iter()
             .map(|t| mesh.positions_m()[t[0] as usize].x)
@@ -190,6 +187,34 @@ mod tests {
         assert_eq!((xs(&buffer), buffer.num_blocks()), (vec![5.0], 0));
         buffer.apply(blocks(true, vec![]), &here);
         assert_eq!(xs(&buffer), [0.0; 0]);
+    }
+
+    #[test]
+    fn a_mesh_goes_on_as_if_it_had_not_been_put_away() {
+        let here = RigidTransform::identity();
+        let mut whole = MeshBuffer::default();
+        whole.apply(MeshUpdate::Whole(triangle(5.0)), &here);
+        let mut in_blocks = MeshBuffer::default();
+        in_blocks.apply(
+            blocks(false, vec![(7, triangle(7.0)), (2, triangle(2.0))]),
+            &here,
+        );
+        for buffer in [whole, in_blocks] {
+            let (mesh, parts) = buffer.assembled().unwrap();
+            for update in [
+                blocks(false, vec![(2, triangle(20.0)), (9, triangle(9.0))]),
+                blocks(false, vec![(7, TriMesh::default())]),
+                blocks(true, vec![(1, triangle(1.0))]),
+                MeshUpdate::Whole(triangle(3.0)),
+            ] {
+                let mut goes_on = MeshBuffer::resumed(mesh.clone(), &parts).unwrap();
+                let mut stayed = buffer.clone();
+                assert_eq!(goes_on.assembled(), stayed.assembled());
+                goes_on.apply(update.clone(), &here);
+                stayed.apply(update, &here);
+                assert_eq!(goes_on.assembled(), stayed.assembled());
+            }
+        }
     }
 
     #[test]

@@ -3,7 +3,8 @@
 //! Stages go over all keyframes again and again in the same order, for which dropping the least
 //! recently used entry is the worst rule: with room for all but one, nothing would ever be found.
 //! So a full cache turns newcomers away, and gives up an entry only when it was not read during
-//! the last few rounds. What `get_or_decode` returns never depends on what the cache holds.
+//! the last few rounds, or when its keyframe is no more. What `get_or_decode` returns never depends
+//! on what the cache holds.
 //!
 //! Depth images come first: a byte of theirs (two a pixel, where they were recorded in
 //! millimetres) saves more decoding than a byte of colour, and admission has decoded them already.
@@ -128,6 +129,7 @@ impl DecodeCache {
     pub(super) fn set_max_bytes(&mut self, max_bytes: usize) {
         self.max_bytes = max_bytes;
         let mut state = lock(&self.state);
+        state.forget_gone();
         while state.num_bytes > max_bytes
             && let Some(id) = state.largest()
         {
@@ -174,6 +176,9 @@ impl State {
         if num_bytes > max_bytes {
             return false;
         }
+        if self.num_bytes + num_bytes > max_bytes + num_known_bytes {
+            self.forget_gone();
+        }
         while self.num_bytes + num_bytes > max_bytes + num_known_bytes {
             let Some(stale) = self.stalest().filter(|&stale| stale != keyframe.id) else {
                 return false;
@@ -193,6 +198,17 @@ impl State {
             },
         );
         true
+    }
+
+    /// Drops entries whose encoded image nobody else holds: their keyframe was evicted, and who
+    /// decodes may be another than who evicts.
+    fn forget_gone(&mut self) {
+        let entries = self.entries.iter();
+        let gone = entries.filter(|(_, entry)| Arc::strong_count(&entry.source) == 1);
+        let gone: Vec<KeyframeId> = gone.map(|(id, _)| *id).collect();
+        for id in gone {
+            self.remove(id);
+        }
     }
 
     fn stalest(&self) -> Option<KeyframeId> {

@@ -11,6 +11,7 @@
 use std::collections::VecDeque;
 
 use super::frame::{FrameQuality, Keyframe, KeyframeId};
+use super::sight::SightBox;
 use crate::geom::{RigidTransform, Stamp};
 
 /// Settings of the choice of keyframes and of their store.
@@ -43,6 +44,8 @@ pub struct KeyframeParams {
     /// How far the stamp of a corrected pose may lie from a keyframe's, seconds, ≥ 0: stamps that
     /// went through floating point come back a little off.
     pub max_correction_interval_s: f64,
+    /// Frames that see nothing of it are refused; `None` keeps them.
+    pub must_see: Option<SightBox>,
 }
 
 impl Default for KeyframeParams {
@@ -61,6 +64,7 @@ impl Default for KeyframeParams {
             max_mean_luma: 0.97,
             max_clipped: 0.8,
             max_correction_interval_s: 0.001,
+            must_see: None,
         }
     }
 }

@@ -14,6 +14,7 @@ use super::frame::{FrameQuality, Keyframe, KeyframeId};
 use super::overlap::{NUM_SAMPLES, View, covered_share};
 use super::quality;
 use super::select::{Choice, KeyframeParams, Selector};
+use super::sight::SightBox;
 use crate::geom::{
     DepthImage, EncodedColor, FrameDepth, ImageError, PosedFrame, RigidTransform, Stamp,
 };
@@ -36,6 +37,8 @@ pub enum RejectReason {
     Redundant,
     /// It alone exceeds the budget.
     LargerThanBudget,
+    /// It sees nothing of [`KeyframeParams::must_see`].
+    OutsideRegion,
 }
 
 impl RejectReason {
@@ -48,6 +51,7 @@ impl RejectReason {
             Self::SameView => "same view as a kept frame",
             Self::Redundant => "budget full, view shown by kept frames",
             Self::LargerThanBudget => "larger than the budget",
+            Self::OutsideRegion => "sees nothing of region.box",
         }
     }
 }
@@ -112,6 +116,7 @@ struct Stored {
 pub struct KeyframeStore {
     budget_bytes: usize,
     max_correction_interval_ns: u64,
+    must_see: Option<SightBox>,
     selector: Selector,
     stored: BTreeMap<KeyframeId, Stored>,
     next_id: u32,
@@ -125,6 +130,7 @@ impl KeyframeStore {
         Self {
             budget_bytes: bytes_from_mb(params.budget_mb),
             max_correction_interval_ns: nanos_from_seconds(params.max_correction_interval_s),
+            must_see: params.must_see,
             selector: Selector::new(params),
             stored: BTreeMap::new(),
             next_id: 0,
@@ -313,7 +319,15 @@ impl KeyframeStore {
             Choice::Blurred => return Err(RejectReason::Blurred),
             Choice::SameView => return Err(RejectReason::SameView),
         };
-        let depth = self.checked_depth(&mut frame);
+        let depth = self.decoded_depth(&mut frame);
+        if let Some(part) = &self.must_see
+            && !part.may_be_seen_by(&frame, depth.as_ref())
+        {
+            // The recording is no sparser for it.
+            self.selector.note_kept(frame.stamp);
+            return Err(RejectReason::OutsideRegion);
+        }
+        let depth = depth.filter(|_| self.compress_depth(&mut frame));
         let view = View::new(&frame, depth.as_ref());
         frame.color = frame
             .color
@@ -330,10 +344,29 @@ impl KeyframeStore {
     }
 
     /// Decodes the depth image; one that cannot be used is taken out of the frame and counted.
-    fn checked_depth(&mut self, frame: &mut PosedFrame) -> Option<DepthImage> {
-        let half = frame.depth.as_mut()?;
-        match checked_depth_half(half) {
-            Ok(image) => Some(image),
+    fn decoded_depth(&mut self, frame: &mut PosedFrame) -> Option<DepthImage> {
+        let half = frame.depth.as_ref()?;
+        let decoded = decoded_half(half);
+        self.usable_depth(frame, decoded)
+    }
+
+    /// Whether the depth image, if there is one, could be compressed; else it is taken out too.
+    fn compress_depth(&mut self, frame: &mut PosedFrame) -> bool {
+        let Some(half) = &mut frame.depth else {
+            return true;
+        };
+        let compressed = half.image.compressed_lossless();
+        let compressed = compressed.map(|image| half.image = image);
+        self.usable_depth(frame, compressed).is_some()
+    }
+
+    fn usable_depth<T>(
+        &mut self,
+        frame: &mut PosedFrame,
+        result: Result<T, ImageError>,
+    ) -> Option<T> {
+        match result {
+            Ok(usable) => Some(usable),
             Err(error) => {
                 self.report.num_depth_refused += 1;
                 if self.report.depth_refused_examples.len() < MAX_EXAMPLES {
@@ -492,15 +525,13 @@ fn check_size(frame: &PosedFrame) -> Result<(), ImageError> {
     )
 }
 
-fn checked_depth_half(half: &mut FrameDepth) -> Result<DepthImage, ImageError> {
+fn decoded_half(half: &FrameDepth) -> Result<DepthImage, ImageError> {
     let camera = &half.camera.pinhole;
     same_size(
         [camera.width(), camera.height()],
         [half.image.width(), half.image.height()],
     )?;
-    let image = half.image.decode()?;
-    half.image = half.image.compressed_lossless()?;
-    Ok(image)
+    half.image.decode()
 }
 
 fn same_size(camera: [u32; 2], image: [u32; 2]) -> Result<(), ImageError> {

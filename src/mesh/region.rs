@@ -71,18 +71,21 @@ impl Region {
         self.contains(&Point3::from((a.coords + b.coords + c.coords) / 3.0))
     }
 
-    /// The triangles whose bounding box comes within `halo_m` of the region, in their order.
+    /// Whether the triangle's bounding box comes within `halo_m` of the region.
+    pub fn is_near(&self, mesh: &TriMesh, triangle: TriangleId, halo_m: f64) -> bool {
+        let corners = mesh.corners_m(triangle);
+        (0..3).all(|axis| {
+            let along = corners.map(|corner| corner[axis]);
+            let low = along.iter().copied().fold(f64::INFINITY, f64::min);
+            let high = along.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+            low < self.max_m[axis] + halo_m && high >= self.min_m[axis] - halo_m
+        })
+    }
+
+    /// The triangles that come within `halo_m` of the region ([`Self::is_near`]), in their order.
     #[must_use]
     pub fn with_halo(&self, mesh: &TriMesh, halo_m: f64) -> TriMesh {
-        mesh.filtered(|triangle| {
-            let corners = mesh.corners_m(triangle);
-            (0..3).all(|axis| {
-                let along = corners.map(|corner| corner[axis]);
-                let low = along.iter().copied().fold(f64::INFINITY, f64::min);
-                let high = along.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-                low < self.max_m[axis] + halo_m && high >= self.min_m[axis] - halo_m
-            })
-        })
+        mesh.filtered(|triangle| self.is_near(mesh, triangle, halo_m))
     }
 }
 

@@ -25,7 +25,7 @@ use super::stream::{StreamPainter, Streamed};
 use super::texture::{Textured, texture_scan};
 use crate::atlas::{AtlasLayout, AtlasTexture};
 use crate::geom::Stamp;
-use crate::ingest::{Assembled, Assembler, IngestReport, TimedEvent};
+use crate::ingest::{Assembled, Assembler, IngestReport, MeshBlocks, TimedEvent};
 use crate::keyframe::quality;
 use crate::keyframe::{Keyframe, KeyframeParams, KeyframeReport, KeyframeStore};
 use crate::mesh::TriMesh;
@@ -43,6 +43,8 @@ pub struct Capture {
     pub stamp: Stamp,
     /// The mesh in the world frame, as it arrived.
     pub mesh: Option<Arc<TriMesh>>,
+    /// Its blocks; none where it came whole.
+    pub mesh_blocks: Arc<MeshBlocks>,
     /// All keyframes, in order.
     pub keyframes: Vec<Arc<Keyframe>>,
     /// What ingest received, used and refused.
@@ -71,6 +73,7 @@ pub struct LiveScan {
     assembler: Assembler,
     store: KeyframeStore,
     mesh: Option<Arc<TriMesh>>,
+    mesh_blocks: Arc<MeshBlocks>,
     region: RegionParams,
     num_mesh_updates: usize,
     revision: u64,
@@ -84,15 +87,17 @@ impl LiveScan {
     /// An empty scan of a stream whose events refer to `topics`. Its revisions go on from
     /// `revision`, so that those of a scan after a reset differ from those before.
     pub fn new(params: &PipelineParams, topics: &[String], revision: u64) -> Self {
+        let keyframe = params.memory.applied_to(params).keyframe;
         let keyframe = KeyframeParams {
             // The painter decodes, and has the cache.
             decode_cache_mb: 0.0,
-            ..params.memory.applied_to(params).keyframe
+            ..params.region.applied_to(&keyframe)
         };
         Self {
             assembler: Assembler::new(&params.ingest, topics),
             store: KeyframeStore::new(&keyframe),
             mesh: None,
+            mesh_blocks: Arc::default(),
             region: params.region,
             num_mesh_updates: 0,
             revision,
@@ -109,7 +114,8 @@ impl LiveScan {
         self.span = Some((first.min(received), last.max(received)));
         let mut assembled = std::mem::take(&mut self.scratch);
         self.assembler.push(event, &mut assembled);
-        self.take(assembled)
+        let blocks = Arc::clone(self.assembler.mesh_blocks());
+        self.take(assembled, &blocks)
     }
 
     /// The stream has paused: what waits for a partner or a pose leaves, or is refused. Whether
@@ -117,7 +123,8 @@ impl LiveScan {
     pub fn flush(&mut self) -> bool {
         let mut assembled = std::mem::take(&mut self.scratch);
         self.assembler.finish(&mut assembled);
-        self.take(assembled)
+        let blocks = Arc::clone(self.assembler.mesh_blocks());
+        self.take(assembled, &blocks)
     }
 
     /// Takes frames and meshes that were put together elsewhere, in the frame `world_frame`; whether
@@ -125,7 +132,7 @@ impl LiveScan {
     /// that come later replace the whole mesh that was adopted.
     pub fn adopt(&mut self, assembled: Vec<Assembled>, world_frame: Option<String>) -> bool {
         self.adopted_frame = world_frame;
-        self.take(assembled)
+        self.take(assembled, &Arc::default())
     }
 
     /// Images and meshes that still wait for something.
@@ -143,6 +150,11 @@ impl LiveScan {
         self.assembler.report()
     }
 
+    /// What the keyframe store kept and dropped.
+    pub fn keyframe_report(&self) -> &KeyframeReport {
+        self.store.report()
+    }
+
     /// What there is now.
     pub fn capture(&self) -> Capture {
         let mut ingest = self.assembler.report().clone();
@@ -155,6 +167,7 @@ impl LiveScan {
                 None => newest.unwrap_or_default(),
             },
             mesh: self.mesh.clone(),
+            mesh_blocks: Arc::clone(&self.mesh_blocks),
             keyframes: self.store.keyframes().cloned().collect(),
             ingest,
             store: self.store.report().clone(),
@@ -166,7 +179,8 @@ impl LiveScan {
         }
     }
 
-    fn take(&mut self, mut assembled: Vec<Assembled>) -> bool {
+    /// `blocks` are those of a mesh among them.
+    fn take(&mut self, mut assembled: Vec<Assembled>, blocks: &Arc<MeshBlocks>) -> bool {
         let before = self.revision;
         for item in assembled.drain(..) {
             match item {
@@ -179,7 +193,8 @@ impl LiveScan {
                     self.revision += u64::from(is_kept);
                 }
                 Assembled::Mesh(mesh) => {
-                    self.mesh = Some(self.region.cut(mesh));
+                    let (mesh, blocks) = self.region.cut_blocks(mesh, blocks);
+                    (self.mesh, self.mesh_blocks) = (Some(mesh), blocks);
                     self.num_mesh_updates += 1;
                     self.revision += 1;
                 }

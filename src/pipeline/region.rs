@@ -1,13 +1,16 @@
 //! Painting one region of a scan, for several programs that share it.
 //!
 //! A mesh is cut to the region and its halo as it arrives. Charts, hidden surface and the choice of
-//! frames then go by all that is left; what is given out is the region's own triangles. Programs with
+//! frames then go by all that is left; frames that see nothing of it are not kept; what is given out is
+//! the region's own triangles. Programs with
 //! regions that tile space share nothing, and their outputs put together are the mesh, every triangle
 //! once.
 
 use std::sync::Arc;
 
 use crate::atlas::{AtlasLayout, AtlasTexture, TexelSource, restrict};
+use crate::ingest::MeshBlocks;
+use crate::keyframe::{KeyframeParams, SightBox};
 use crate::mesh::{Region, TriMesh, TriangleId};
 use crate::texinit::TexInit;
 
@@ -30,12 +33,42 @@ impl Default for RegionParams {
 }
 
 impl RegionParams {
+    /// The choice of keyframes, with the region and its halo as what they must see.
+    pub(super) fn applied_to(&self, keyframe: &KeyframeParams) -> KeyframeParams {
+        let part = self.region.as_ref().map(|region| {
+            SightBox::new(
+                region.min_m().map(|bound_m| bound_m - self.halo_m),
+                region.max_m().map(|bound_m| bound_m + self.halo_m),
+            )
+        });
+        KeyframeParams {
+            must_see: part.or(keyframe.must_see),
+            ..keyframe.clone()
+        }
+    }
+
     /// What is painted of a mesh that arrived.
     pub(super) fn cut(&self, mesh: Arc<TriMesh>) -> Arc<TriMesh> {
         match &self.region {
             Some(region) => Arc::new(region.with_halo(&mesh, self.halo_m)),
             None => mesh,
         }
+    }
+
+    /// The same of a mesh in blocks.
+    pub(super) fn cut_blocks(
+        &self,
+        mesh: Arc<TriMesh>,
+        blocks: &Arc<MeshBlocks>,
+    ) -> (Arc<TriMesh>, Arc<MeshBlocks>) {
+        let blocks = match &self.region {
+            Some(region) => {
+                let keep = |triangle| region.is_near(&mesh, triangle, self.halo_m);
+                Arc::new(blocks.filtered(&mesh, keep))
+            }
+            None => Arc::clone(blocks),
+        };
+        (self.cut(mesh), blocks)
     }
 
     /// Takes away what is not the region's own; its texels become blank.

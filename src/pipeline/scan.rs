@@ -179,7 +179,7 @@ fn receive(
         span: None,
         is_at_end: false,
     };
-    let mut store = KeyframeStore::new(&params.keyframe);
+    let mut store = KeyframeStore::new(&params.region.applied_to(&params.keyframe));
     set_decode_cache(&mut store, &params.memory.first_plan(params));
     let mut mesh = None;
     let mut num_mesh_updates = 0;

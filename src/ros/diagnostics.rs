@@ -404,7 +404,7 @@ fn keyframes(capture: &Capture) -> Finding {
         problems.push((
             Level::Warn,
             format!(
-                "no frame was kept ({}): see the parameters keyframe.*",
+                "no frame was kept ({}): see the parameters keyframe.* and region.*",
                 reasons.join(", ")
             ),
         ));

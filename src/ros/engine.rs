@@ -12,7 +12,9 @@ use std::time::{Duration, Instant};
 
 use crate::config::Config;
 use crate::ingest::{EventSource, TimedEvent};
-use crate::pipeline::{Capture, Latest, LiveScan, MemoryPlan, NoProgress, Painted, Painter};
+use crate::pipeline::{
+    Capture, EarlierScan, Latest, LiveScan, MemoryPlan, NoProgress, Painted, Painter,
+};
 use crate::publish::Snapshot;
 
 use super::error::NodeError;
@@ -295,7 +297,7 @@ fn ingest(shared: &Shared, source: LiveSource, orders: &Receiver<Order>) {
     let mesh_period = Duration::from_secs_f64(config.node.journal_mesh_period_s);
     let (_journal, earlier) = JournalThread::start(Arc::clone(&shared.journal), mesh_period);
     if let Some(earlier) = earlier {
-        ingest.scan.resume(earlier);
+        ingest.resume(earlier);
         ingest.hand_on();
     }
     loop {
@@ -356,7 +358,7 @@ impl Ingest<'_> {
             Order::Load(session, done) => {
                 self.reset();
                 match *session {
-                    Session::Exact(scan) => self.scan.resume(scan),
+                    Session::Exact(scan) => self.resume(scan),
                     Session::Recorded {
                         assembled,
                         world_frame,
@@ -369,6 +371,13 @@ impl Ingest<'_> {
             }
         }
         self.viewed = None;
+    }
+
+    fn resume(&mut self, earlier: EarlierScan) {
+        // What is read from a file was checked there.
+        if let Err(error) = self.scan.resume(earlier) {
+            tracing::error!("the earlier scan is not gone on with: {error}");
+        }
     }
 
     fn reset(&mut self) {

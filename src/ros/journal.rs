@@ -14,6 +14,7 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use crate::bag::journal::{Found, Journal, JournalDisk, JournalError, PathDisk, ScanState};
+use crate::ingest::MeshBlocks;
 use crate::mesh::TriMesh;
 use crate::pipeline::{Capture, EarlierScan, Latest};
 
@@ -165,6 +166,7 @@ pub(super) fn scan_state(capture: &Capture, epoch: u64) -> ScanState {
         epoch,
         keyframes: keyframes.map(|k| (k.id, Arc::clone(k))).collect(),
         mesh: capture.mesh.clone(),
+        mesh_blocks: Arc::clone(&capture.mesh_blocks),
         num_mesh_updates: capture.num_mesh_updates as u64,
         world_frame: capture.ingest.world_frame.clone(),
         ..ScanState::default()
@@ -177,6 +179,7 @@ pub(super) fn earlier_scan(state: ScanState) -> EarlierScan {
         keyframes: state.keyframes.into_values().collect(),
         next_id: state.next_id,
         mesh: state.mesh,
+        mesh_blocks: state.mesh_blocks,
         num_mesh_updates: usize::try_from(state.num_mesh_updates).unwrap_or(usize::MAX),
         world_frame: state.world_frame,
     }
@@ -211,6 +214,7 @@ struct PacedMesh {
     epoch: u64,
     num_updates: u64,
     mesh: Option<Arc<TriMesh>>,
+    blocks: Arc<MeshBlocks>,
     taken_at: Option<Instant>,
 }
 
@@ -220,6 +224,7 @@ impl PacedMesh {
             epoch: state.epoch,
             num_updates: state.num_mesh_updates,
             mesh: state.mesh.clone(),
+            blocks: Arc::clone(&state.mesh_blocks),
             taken_at: None,
         }
     }
@@ -233,6 +238,7 @@ impl PacedMesh {
         }
         if is_same_scan && self.taken_at.is_some_and(|at| at.elapsed() < period) {
             state.mesh = self.mesh.clone();
+            state.mesh_blocks = Arc::clone(&self.blocks);
             state.num_mesh_updates = self.num_updates;
             return true;
         }
@@ -323,6 +329,8 @@ mod tests {
     use crate::geom::{
         CameraModel, ColorImage, EncodedColor, PinholeCamera, RigidTransform, Stamp,
     };
+    use crate::ingest::MeshBlockSpan;
+    use crate::ingest::event::MeshBlockKey;
     use crate::keyframe::{FrameQuality, Keyframe, KeyframeId};
     use crate::pipeline::{LiveScan, PipelineParams};
 
@@ -347,14 +355,26 @@ mod tests {
         Arc::new(mesh)
     }
 
+    fn blocks(mesh: &TriMesh, key: usize) -> Arc<MeshBlocks> {
+        let span = MeshBlockSpan {
+            key: MeshBlockKey([key.try_into().unwrap(), 0, 0]),
+            num_vertices: 3,
+            num_triangles: 1,
+        };
+        Arc::new(MeshBlocks::new(vec![span], mesh).unwrap())
+    }
+
     fn capture(num_keyframes: u32, num_mesh_updates: usize) -> Capture {
         let mut scan = LiveScan::new(&PipelineParams::default(), &[], 0);
+        let mesh = triangle(num_mesh_updates as f64);
         scan.resume(EarlierScan {
             keyframes: (0..num_keyframes).map(keyframe).collect(),
-            mesh: Some(triangle(num_mesh_updates as f64)),
+            mesh_blocks: blocks(&mesh, num_mesh_updates),
+            mesh: Some(mesh),
             num_mesh_updates,
             ..EarlierScan::default()
-        });
+        })
+        .unwrap();
         scan.capture()
     }
 
@@ -382,7 +402,11 @@ mod tests {
         for num_keyframes in 1..=5 {
             slot.put(&capture(num_keyframes, 1), 0);
         }
-        wait_until(&slot, "refused", |status| status.problem.is_some());
+        // The disk may have been asked before all five had come.
+        wait_until(&slot, "refused", |status| {
+            let problem = status.problem.as_ref();
+            problem.is_some_and(|words| words.contains("of 5 keyframes"))
+        });
         let told = finding(&slot.status().unwrap());
         for words in [
             folder.to_str().unwrap(),
@@ -425,6 +449,7 @@ mod tests {
         let earlier = earlier.unwrap();
         assert_eq!(earlier.num_mesh_updates, 9);
         assert_eq!(earlier.mesh.as_deref(), Some(&*triangle(9.0)));
+        assert_eq!(earlier.mesh_blocks, blocks(&triangle(9.0), 9));
         drop(thread);
     }
 

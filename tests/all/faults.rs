@@ -1,6 +1,7 @@
 //! Streams in which messages are lost, come twice, late or out of order, in which the mesh, the
 //! pose, the clock and the camera jump, and images do not decode: live, message by message.
 
+use std::collections::BTreeMap;
 use std::sync::{Arc, OnceLock};
 
 use nalgebra::{Point3, UnitQuaternion, Vector3};
@@ -17,6 +18,7 @@ use veneer::pipeline::{
 const TOPICS: [&str; 6] = ["tf", "color_info", "color", "depth_info", "depth", "mesh"];
 const NUM_FRAMES: i64 = 60;
 const FRAME_NS: i64 = 33_000_000;
+const CLOCK_BACK_NS: i64 = 5_000_000_000;
 
 /// SplitMix64.
 struct Random(u64);
@@ -52,7 +54,8 @@ struct Faults {
     mesh_jumps: u64,
     pose_jumps: u64,
     undecodable: u64,
-    clock_back: bool,
+    /// In the middle of the stream, nanoseconds.
+    clock_back_ns: i64,
     other_camera: bool,
 }
 
@@ -60,6 +63,17 @@ struct Made {
     random: Random,
     faults: Faults,
     events: Vec<TimedEvent>,
+    /// By the stamp of the colour image.
+    sent: BTreeMap<Stamp, Sent>,
+    /// Messages that came twice, by topic.
+    num_twice: [u64; TOPICS.len()],
+}
+
+/// A frame as its senders made it.
+struct Sent {
+    image: EncodedColor,
+    camera: CameraModel,
+    world_from_camera: RigidTransform,
 }
 
 fn camera(focal_px: f64) -> CameraModel {
@@ -123,14 +137,20 @@ fn header(frame_id: &str, nanos: i64) -> Header {
 
 impl Made {
     fn stream(seed: u64, faults: Faults) -> Vec<TimedEvent> {
+        Self::new(seed, faults).events
+    }
+
+    fn new(seed: u64, faults: Faults) -> Self {
         let mut made = Self {
             random: Random(seed),
             faults,
             events: Vec::new(),
+            sent: BTreeMap::new(),
+            num_twice: [0; TOPICS.len()],
         };
         made.record();
         made.disturb();
-        made.events
+        made
     }
 
     fn push(&mut self, nanos: i64, topic: &str, event: Event) {
@@ -147,8 +167,8 @@ impl Made {
         let (mut clock, mut num_squares, mut is_flipped) = (10_000_000_000, 3, false);
         for i in 0..NUM_FRAMES {
             clock += FRAME_NS;
-            if self.faults.clock_back && i == NUM_FRAMES / 2 {
-                clock -= 5_000_000_000;
+            if i == NUM_FRAMES / 2 {
+                clock -= self.faults.clock_back_ns;
             }
             let is_other = self.faults.other_camera && i > NUM_FRAMES / 3;
             let camera = camera(if is_other { 55.0 } else { 45.0 });
@@ -175,6 +195,12 @@ impl Made {
             } else {
                 color(i)
             };
+            let sent = Sent {
+                image: image.clone(),
+                camera,
+                world_from_camera: pose,
+            };
+            self.sent.insert(Stamp::from_nanos(clock), sent);
             self.push(clock, "color", Event::Color(cam(), image));
             self.push(clock, "depth_info", Event::DepthInfo(cam(), camera));
             self.push(clock, "depth", Event::Depth(cam(), depth()));
@@ -210,6 +236,7 @@ impl Made {
         for event in events {
             let is_twice = self.random.happens(self.faults.twice);
             if is_twice {
+                self.num_twice[event.topic] += 1;
                 self.events.push(event.clone());
             }
             self.events.push(event);
@@ -249,7 +276,11 @@ fn topics() -> Vec<String> {
 
 /// Feeds a live scan message by message; the accounts must be right after each.
 fn live(events: &[TimedEvent]) -> Capture {
-    let mut scan = LiveScan::new(&PipelineParams::default(), &topics(), 0);
+    live_with(events, &PipelineParams::default())
+}
+
+fn live_with(events: &[TimedEvent], params: &PipelineParams) -> Capture {
+    let mut scan = LiveScan::new(params, &topics(), 0);
     let mut revision = 0;
     for (at, event) in events.iter().enumerate() {
         let has_changed = scan.push(event.clone());
@@ -309,7 +340,7 @@ fn any_faults(random: &mut Random) -> Faults {
         mesh_jumps: some(900),
         pose_jumps: some(200),
         undecodable: some(200),
-        clock_back: some(3) > 0,
+        clock_back_ns: if some(3) > 0 { CLOCK_BACK_NS } else { 0 },
         other_camera: some(3) > 0,
     }
 }
@@ -421,5 +452,188 @@ fn a_mesh_that_shrinks_resets_or_flips_is_the_last_one() {
         });
         let capture = live(&events);
         assert!(capture.mesh.as_deref() == last.as_ref(), "seed {seed}");
+    }
+}
+
+fn num_refused(capture: &Capture, topic: &str, reason: &str) -> u64 {
+    let refused = &capture.ingest.topics[topic].refused_by_reason;
+    refused.get(reason).map_or(0, |count| count.num)
+}
+
+/// Every keyframe is what was sent at its stamp: image, cameras and pose.
+#[track_caller]
+fn assert_as_sent(capture: &Capture, made: &Made) {
+    for keyframe in &capture.keyframes {
+        let sent = &made.sent[&keyframe.stamp];
+        assert!(keyframe.color == sent.image, "another image");
+        assert_eq!(keyframe.color_camera, sent.camera);
+        let depth = keyframe.depth.as_ref().unwrap();
+        assert_eq!(depth.camera, sent.camera);
+        let (turn_rad, distance_m) = keyframe
+            .world_from_camera
+            .distance_to(&sent.world_from_camera);
+        assert!(turn_rad < 1e-6 && distance_m < 1e-9, "{distance_m} m off");
+    }
+}
+
+#[test]
+fn a_keyframe_is_what_was_sent_at_its_stamp() {
+    let plain = Faults {
+        twice: 150,
+        ..Faults::default()
+    };
+    let faults = [
+        plain,
+        Faults {
+            other_camera: true,
+            ..plain
+        },
+        Faults {
+            clock_back_ns: CLOCK_BACK_NS,
+            ..plain
+        },
+        Faults {
+            pose_jumps: 200,
+            ..plain
+        },
+        Faults {
+            clock_back_ns: CLOCK_BACK_NS,
+            other_camera: true,
+            pose_jumps: 100,
+            ..plain
+        },
+    ];
+    for (seed, faults) in (0..).zip(faults) {
+        let made = Made::new(seed, faults);
+        let capture = live(&made.events);
+        assert_as_sent(&capture, &made);
+        assert!(capture.keyframes.len() > 10);
+        // Both cameras, and both times, are among them.
+        let stamps: Vec<Stamp> = capture.keyframes.iter().map(|k| k.stamp).collect();
+        let num_falls = stamps.windows(2).filter(|two| two[1] < two[0]).count();
+        assert_eq!(num_falls, usize::from(faults.clock_back_ns > 0));
+        let cameras = capture.keyframes.iter().map(|k| k.color_camera);
+        let has_other = cameras.clone().any(|c| c != camera(45.0));
+        assert_eq!(has_other, faults.other_camera);
+    }
+}
+
+#[test]
+fn what_is_refused_is_counted_by_its_reason() {
+    let twice = Made::new(
+        1,
+        Faults {
+            twice: 200,
+            ..Faults::default()
+        },
+    );
+    let capture = live(&twice.events);
+    for (topic, num) in TOPICS.iter().zip(twice.num_twice) {
+        let reason = match *topic {
+            "tf" => "repeated transform (same stamp)",
+            "color" | "depth" => "duplicate stamp",
+            _ => continue,
+        };
+        assert!(num > 0);
+        assert_eq!(num_refused(&capture, topic, reason), num, "{topic}");
+    }
+    assert_eq!(capture.ingest.num_frames, NUM_FRAMES.unsigned_abs());
+
+    let undecodable_too = Made::new(
+        2,
+        Faults {
+            undecodable: 250,
+            ..Faults::default()
+        },
+    );
+    let images = undecodable_too.sent.values();
+    let num_bad = images.filter(|sent| sent.image.decode().is_err()).count();
+    let store = live(&undecodable_too.events).store;
+    assert!(num_bad > 5);
+    let counted = store.rejected_by_reason.get("image does not decode");
+    assert_eq!(counted.copied(), Some(num_bad as u64));
+    assert_eq!(store.num_offered, NUM_FRAMES.unsigned_abs());
+
+    let set_back = Faults {
+        clock_back_ns: CLOCK_BACK_NS,
+        ..Faults::default()
+    };
+    let capture = live(&Made::stream(3, set_back));
+    assert_eq!(capture.ingest.sync.num_clock_set_back, 1);
+    // An image or two show that the clock was set back, and go with those that waited.
+    let num_lost = NUM_FRAMES.unsigned_abs() - capture.ingest.num_frames;
+    assert!(num_lost < 5, "{num_lost}");
+}
+
+#[test]
+fn an_image_that_comes_after_newer_ones_is_refused() {
+    let made = Made::new(4, Faults::default());
+    let mut events = made.events;
+    let is_image =
+        |event: &TimedEvent| matches!(&event.event, Ok(Event::Color(..) | Event::Depth(..)));
+    let at = events.iter().position(is_image).unwrap();
+    let [color, depth] = [events.remove(at), events.remove(at + 1)];
+    assert!(is_image(&color) && is_image(&depth));
+    let before = live(&events);
+    let late_by = events.len() / 3;
+    for event in [color, depth] {
+        let received = events[late_by].received;
+        events.insert(late_by + 1, TimedEvent { received, ..event });
+    }
+    let after = live(&events);
+    assert_same(&after, &before);
+    let reason = "late: a newer image of the topic was used or dropped before it came";
+    for topic in ["color", "depth"] {
+        assert_eq!(num_refused(&after, topic, reason), 1, "{topic}");
+    }
+}
+
+/// Poses that were sent before the clock was set back are not those of the same stamps after it, even
+/// where transforms are lost.
+#[test]
+fn poses_of_before_the_clock_was_set_back_are_forgotten() {
+    let mut params = PipelineParams::default();
+    params.ingest.clock_jump_back_s = 0.3;
+    let faults = Faults {
+        clock_back_ns: 700_000_000,
+        ..Faults::default()
+    };
+    for num_transforms in [0, 4] {
+        let made = Made::new(5, faults);
+        let middle = made.events.len() / 2;
+        let is_after = |at: usize| at >= middle;
+        let mut num_left = num_transforms;
+        let mut events = Vec::new();
+        for (at, event) in made.events.iter().enumerate() {
+            let is_transform = matches!(&event.event, Ok(Event::Transforms(_)));
+            if is_transform && is_after(at) {
+                if num_left == 0 {
+                    continue;
+                }
+                num_left -= 1;
+            }
+            events.push(event.clone());
+        }
+        let capture = live_with(&events, &params);
+        let stamps: Vec<Stamp> = made.sent.keys().copied().collect();
+        let second = |stamp: Stamp| made.sent[&stamp].world_from_camera.translation().x > 0.88;
+        let set_back_to = *stamps.iter().find(|stamp| second(**stamp)).unwrap();
+        let num_before = capture
+            .keyframes
+            .iter()
+            .filter(|k| !second(k.stamp))
+            .count();
+        assert!(num_before > 5);
+        for keyframe in capture.keyframes.iter().filter(|k| second(k.stamp)) {
+            if num_transforms == 0 {
+                // What is less than the jump's least length ahead may be of the new time.
+                let ahead_s = keyframe.stamp.seconds_since(set_back_to);
+                assert!(ahead_s < 0.4, "posed {ahead_s} s after");
+            } else {
+                let sent = &made.sent[&keyframe.stamp].world_from_camera;
+                let (_, distance_m) = keyframe.world_from_camera.distance_to(sent);
+                assert!(distance_m < 0.1, "{distance_m} m off");
+            }
+        }
     }
 }

@@ -2,9 +2,12 @@
 
 use std::path::Path;
 
+use nalgebra::Point3;
 use veneer::bag::journal::{Found, Journal, PathDisk, ScanState};
 use veneer::bag::{BagReader, TopicRoles};
-use veneer::ingest::EventSource;
+use veneer::ingest::event::MeshBlockKey;
+use veneer::ingest::{Event, EventSource, Header, MeshUpdate, TimedEvent};
+use veneer::mesh::{Region, SoupReport, TriMesh};
 use veneer::pipeline::{
     Capture, EarlierScan, LiveScan, NoProgress, Painted, Painter, PipelineParams,
 };
@@ -16,6 +19,7 @@ pub(crate) fn state_of(capture: &Capture) -> ScanState {
     ScanState {
         keyframes: keyframes.map(|k| (k.id, k.clone())).collect(),
         mesh: capture.mesh.clone(),
+        mesh_blocks: capture.mesh_blocks.clone(),
         num_mesh_updates: capture.num_mesh_updates as u64,
         world_frame: capture.ingest.world_frame.clone(),
         ..ScanState::default()
@@ -33,16 +37,21 @@ pub(crate) fn resumed(path: &Path) -> ScanState {
     }
 }
 
-/// A capture of a scan that goes on from `state`.
-pub(crate) fn capture_of(state: ScanState, params: &PipelineParams) -> Capture {
-    let mut scan = LiveScan::new(params, &[], 0);
-    scan.resume(EarlierScan {
+fn earlier(state: ScanState) -> EarlierScan {
+    EarlierScan {
         keyframes: state.keyframes.into_values().collect(),
         next_id: state.next_id,
         mesh: state.mesh,
+        mesh_blocks: state.mesh_blocks,
         num_mesh_updates: state.num_mesh_updates.try_into().unwrap(),
         world_frame: state.world_frame,
-    });
+    }
+}
+
+/// A capture of a scan that goes on from `state`.
+pub(crate) fn capture_of(state: ScanState, params: &PipelineParams) -> Capture {
+    let mut scan = LiveScan::new(params, &[], 0);
+    scan.resume(earlier(state)).unwrap();
     scan.capture()
 }
 
@@ -116,4 +125,89 @@ fn a_scan_that_goes_on_is_painted_as_the_one_before() {
         before.mesh.num_triangles(),
         "the mesh of the recording"
     );
+}
+
+/// What there is of a scan whose process ended and went on after each `num_events` events.
+fn interrupted(bag: &Path, params: &PipelineParams, num_events: usize) -> Capture {
+    let mut reader = BagReader::open(bag, &TopicRoles::default()).unwrap();
+    let topics = reader.topics().to_vec();
+    let mut scan = LiveScan::new(params, &topics, 0);
+    let mut num_left = num_events;
+    while let Some(event) = reader.next_event() {
+        scan.push(event);
+        num_left -= 1;
+        if num_left == 0 {
+            num_left = num_events;
+            scan.flush();
+            let state = state_of(&scan.capture());
+            scan = LiveScan::new(params, &topics, 0);
+            scan.resume(earlier(state)).unwrap();
+        }
+    }
+    scan.flush();
+    scan.capture()
+}
+
+#[test]
+fn blocks_that_come_after_an_interruption_update_the_mesh() {
+    let dir = tempfile::tempdir().unwrap();
+    let bag = small_tabletop(dir.path(), &["--grow", "6"]);
+    let left = Region::new([f64::NEG_INFINITY; 3], [0.03, f64::INFINITY, f64::INFINITY]);
+    for region in [None, Some(left.unwrap())] {
+        let mut params = PipelineParams::default();
+        params.region.region = region;
+        let at_once = interrupted(&bag, &params, usize::MAX);
+        assert!(at_once.mesh_blocks.spans().len() > 3);
+        for num_events in [7, 40] {
+            let capture = interrupted(&bag, &params, num_events);
+            assert_eq!(capture.mesh_blocks, at_once.mesh_blocks);
+            assert!(capture.mesh == at_once.mesh, "{num_events}");
+        }
+    }
+}
+
+#[test]
+fn a_whole_mesh_that_comes_after_an_interruption_replaces_the_blocks() {
+    let dir = tempfile::tempdir().unwrap();
+    let params = PipelineParams::default();
+    let in_blocks = small_tabletop(dir.path(), &["--grow", "6"]);
+    let mut scan = LiveScan::new(&params, &[], 0);
+    let before = interrupted(&in_blocks, &params, usize::MAX);
+    scan.resume(earlier(state_of(&before))).unwrap();
+    let num_before = before.mesh.unwrap().num_triangles();
+
+    let (half, _) = TriMesh::from_soup(
+        vec![
+            Point3::origin(),
+            Point3::new(1.0, 0.0, 0.0),
+            Point3::new(0.0, 1.0, 0.0),
+        ],
+        vec![[0, 1, 2]],
+    )
+    .unwrap();
+    let frame_id = before.ingest.world_frame.unwrap();
+    let event = |update| TimedEvent {
+        received: before.stamp,
+        topic: 0,
+        event: Ok(Event::Mesh(
+            Header {
+                stamp: before.stamp,
+                frame_id: frame_id.as_str().into(),
+            },
+            update,
+            SoupReport::default(),
+        )),
+    };
+    let block = (MeshBlockKey([1 << 40, 0, 0]), half.clone());
+    let more = MeshUpdate::Blocks {
+        clear: false,
+        blocks: vec![block],
+    };
+    assert!(scan.push(event(more)));
+    let num_now = scan.capture().mesh.unwrap().num_triangles();
+    assert_eq!(num_now, num_before + 1);
+    assert!(scan.push(event(MeshUpdate::Whole(half))));
+    let capture = scan.capture();
+    assert_eq!(capture.mesh.unwrap().num_triangles(), 1);
+    assert!(capture.mesh_blocks.is_whole());
 }

@@ -5,11 +5,12 @@ use std::path::Path;
 
 use veneer::atlas::TexelSource;
 use veneer::bag::{BagReader, TopicRoles};
+use veneer::geom::Stamp;
 use veneer::mesh::{Region, TriangleId};
 use veneer::pipeline::{NoProgress, PipelineParams, RegionParams, Run, run};
 use veneer::render::textured::sample_page;
 
-use crate::command::{said, small_tabletop, veneer};
+use crate::command::{said, small_tabletop, veneer, veneer_ok};
 
 fn painted(bag: &Path, region: Option<Region>) -> Run {
     let params = PipelineParams {
@@ -35,8 +36,12 @@ fn quarters() -> Vec<Region> {
 /// The corners of a triangle, to the bit.
 type Corners = [[u64; 3]; 3];
 
-/// What the atlas shows in the middle of each triangle, by its corners: a colour and its source.
-fn shown(run: &Run) -> BTreeMap<Corners, ([f32; 3], TexelSource)> {
+/// What the atlas shows in the middle of each triangle, by its corners: a colour, and when the photo
+/// was taken that it is from, if one was.
+fn shown(run: &Run) -> BTreeMap<Corners, ([f32; 3], Option<Stamp>)> {
+    // Keyframes have numbers of their own in each program.
+    let stamps: BTreeMap<u32, Stamp> = run.keyframes.iter().map(|k| (k.id.0, k.stamp)).collect();
+    let stamp_of = |source: TexelSource| stamps.get(&source.as_keyframe()?).copied();
     let layout = &run.texinit.layout;
     let of_triangle = |triangle: TriangleId| {
         let corners = run.mesh.corners_m(triangle);
@@ -52,7 +57,7 @@ fn shown(run: &Run) -> BTreeMap<Corners, ([f32; 3], TexelSource)> {
         let [column, row] = middle.map(|side| side as usize);
         let at = row * page.width as usize + column;
         let color = sample_page(page, middle).unwrap_or_default();
-        (key, (color, page.source[at]))
+        (key, (color, stamp_of(page.source[at])))
     };
     run.mesh.triangle_ids().map(of_triangle).collect()
 }
@@ -121,4 +126,53 @@ fn a_region_is_given_on_the_command_line() {
     }
     assert_eq!(num_triangles[0], num_triangles[1] + num_triangles[2]);
     assert!(num_triangles[1] > 0 && num_triangles[2] > 0);
+}
+
+#[test]
+fn a_tile_keeps_no_frame_that_sees_nothing_of_it_and_shows_what_it_would() {
+    let dir = tempfile::tempdir().unwrap();
+    let bag = dir.path().join("room.mcap");
+    let path = bag.to_str().unwrap();
+    let size = ["--frames", "40", "--width", "160", "--height", "120"];
+    let args = [
+        "--quiet",
+        "synth",
+        "room",
+        "-o",
+        path,
+        "--edge-length-m",
+        "0.15",
+    ];
+    veneer_ok(&[&args[..], &size].concat());
+
+    let run_of = painted(&bag, None);
+    let whole = shown(&run_of);
+    let (low, high) = (f64::NEG_INFINITY, f64::INFINITY);
+    let (mut joined, mut num_refused) = (BTreeMap::new(), 0);
+    for [from, to] in [[low, 1.0], [1.0, high]] {
+        let part = painted(&bag, Region::new([from, low, low], [to, high, high]).ok());
+        let rejected = &part.store.rejected_by_reason;
+        let num_rejected: u64 = rejected.values().sum();
+        let (num_offered, num_admitted) = (part.store.num_offered, part.store.num_admitted);
+        assert_eq!(num_offered, num_admitted + num_rejected);
+        assert_eq!(num_offered, run_of.store.num_offered);
+        num_refused += rejected.get("sees nothing of region.box").unwrap_or(&0);
+        joined.extend(shown(&part));
+    }
+    assert!(joined.keys().eq(whole.keys()));
+    let num_same = whole
+        .values()
+        .zip(joined.values())
+        .filter(|(a, b)| a.1 == b.1);
+    let same_share = num_same.count() as f64 / whole.len() as f64;
+    // Which frames are near enough to others, and what is typical, each tile says of its own.
+    assert!(
+        same_share > 0.8,
+        "{same_share} of triangles show the same frame"
+    );
+    let num_frames = run_of.store.num_offered;
+    assert!(
+        num_refused > num_frames / 8,
+        "{num_refused} of {num_frames}"
+    );
 }

@@ -8,6 +8,8 @@ use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use crate::geom::{
     CameraError, CameraModel, Distortion, FrameError, PinholeCamera, RigidTransform, Stamp,
 };
+use crate::ingest::MeshBlockSpan;
+use crate::ingest::event::MeshBlockKey;
 use crate::keyframe::{FrameQuality, KeyframeId};
 use crate::wire::{CdrReader, CdrWriter, Message, WireError};
 
@@ -58,6 +60,8 @@ pub(super) struct JournalEntry<'a> {
     pub(super) num_mesh_updates: u64,
     /// Empty where it is not known.
     pub(super) world_frame: &'a str,
+    /// Of the mesh; none where it came whole.
+    pub(super) mesh_blocks: Vec<MeshBlockSpan>,
 }
 
 impl<'a> JournalEntry<'a> {
@@ -75,6 +79,7 @@ impl<'a> JournalEntry<'a> {
             quality: FrameQuality::default(),
             num_mesh_updates: 0,
             world_frame,
+            mesh_blocks: Vec::new(),
         }
     }
 }
@@ -113,6 +118,10 @@ float32[3] quality
 uint64 num_mesh_updates
 # The frame of poses and mesh; empty where it is not known.
 string world_frame
+# The blocks that the mesh came in, one behind the other; none where it came whole. Three numbers
+# that name each, and how many vertices and triangles it has.
+int64[] mesh_block_keys
+uint32[] mesh_block_sizes
 ";
 
     fn read(reader: &mut CdrReader<'a>) -> Result<Self, WireError> {
@@ -147,6 +156,7 @@ string world_frame
             },
             num_mesh_updates: reader.scalar("num_mesh_updates")?,
             world_frame: reader.string("world_frame")?,
+            mesh_blocks: read_blocks(reader)?,
         })
     }
 
@@ -164,7 +174,32 @@ string world_frame
         writer.array(&[quality.sharpness, quality.mean_luma, quality.clipped]);
         writer.scalar(self.num_mesh_updates);
         writer.string(self.world_frame);
+        let keys = self.mesh_blocks.iter().map(|block| block.key.0);
+        writer.scalars(keys.flatten().collect::<Vec<_>>().as_slice());
+        let sizes = self.mesh_blocks.iter();
+        let sizes = sizes.flat_map(|block| [block.num_vertices, block.num_triangles]);
+        writer.scalars(sizes.collect::<Vec<_>>().as_slice());
     }
+}
+
+fn read_blocks(reader: &mut CdrReader<'_>) -> Result<Vec<MeshBlockSpan>, WireError> {
+    let keys: Vec<i64> = reader.scalars("mesh_block_keys")?;
+    let sizes: Vec<u32> = reader.scalars("mesh_block_sizes")?;
+    let (keys, key_rest) = keys.as_chunks::<3>();
+    let (sizes, size_rest) = sizes.as_chunks::<2>();
+    if keys.len() != sizes.len() || key_rest.len() + size_rest.len() > 0 {
+        return Err(WireError::Field {
+            field: "mesh_block_sizes",
+            reason: format!("has {} sizes for {} keys", sizes.len(), keys.len()),
+        });
+    }
+    let blocks = keys.iter().zip(sizes);
+    let blocks = blocks.map(|(key, [num_vertices, num_triangles])| MeshBlockSpan {
+        key: MeshBlockKey(*key),
+        num_vertices: *num_vertices,
+        num_triangles: *num_triangles,
+    });
+    Ok(blocks.collect())
 }
 
 fn write_pose(writer: &mut CdrWriter, pose: &RigidTransform) {

@@ -127,6 +127,7 @@ impl Index {
             changes.push(Change::Mesh {
                 num_updates: scan.num_mesh_updates,
                 mesh: Arc::clone(mesh),
+                blocks: Arc::clone(&scan.mesh_blocks),
                 stamp: newest.map_or_else(Stamp::default, |keyframe| keyframe.stamp),
             });
         }

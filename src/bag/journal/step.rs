@@ -9,7 +9,7 @@ use std::sync::Arc;
 use crate::bag::record::{self, ChunkHeader, MAGIC, MessageHeader, op};
 use crate::bag::scan_writer::ScanTopics;
 use crate::geom::{EncodedColor, EncodedDepth, FrameDepth, RigidTransform, Stamp};
-use crate::ingest::MeshUpdate;
+use crate::ingest::{MeshBlocks, MeshBlocksError, MeshUpdate};
 use crate::keyframe::{Keyframe, KeyframeId};
 use crate::mesh::TriMesh;
 use crate::wire::geometry::WirePose;
@@ -35,6 +35,7 @@ pub(super) enum Change {
     Mesh {
         num_updates: u64,
         mesh: Arc<TriMesh>,
+        blocks: Arc<MeshBlocks>,
         /// When it was so, for other readers of the recording.
         stamp: Stamp,
     },
@@ -88,7 +89,7 @@ pub(super) fn preamble() -> Vec<u8> {
     put_record(&mut bytes, op::HEADER, |body| {
         put_text(body, "ros2");
         // Of the format, not of the program: older journals start alike.
-        put_text(body, "veneer journal 1");
+        put_text(body, "veneer journal 2");
     });
     for (id, topic, type_name, schema) in channels(&ScanTopics::default()) {
         put_record(&mut bytes, op::SCHEMA, |body| {
@@ -219,11 +220,13 @@ impl Records {
             Change::Mesh {
                 num_updates,
                 mesh,
+                blocks,
                 stamp,
             } => {
                 self.set_log_time(*stamp);
                 let entry = JournalEntry {
                     num_mesh_updates: *num_updates,
+                    mesh_blocks: blocks.spans().to_vec(),
                     stamp: *stamp,
                     ..entry(Kind::Mesh)
                 };
@@ -304,6 +307,8 @@ pub(super) enum ChunkError {
     Lacks(&'static str),
     #[error(transparent)]
     Wire(#[from] WireError),
+    #[error(transparent)]
+    Blocks(#[from] MeshBlocksError),
 }
 
 /// The checksum that a chunk's body says it has, where it says any.
@@ -332,11 +337,15 @@ pub(super) fn read_step(body: &[u8]) -> Result<Step, ChunkError> {
         Kind::Keyframe => Change::Keyframe(Arc::new(messages.keyframe(&entry)?)),
         Kind::Removed => Change::Removed(entry.keyframe_id),
         Kind::Pose => Change::Pose(entry.keyframe_id, entry.world_from_camera),
-        Kind::Mesh => Change::Mesh {
-            num_updates: entry.num_mesh_updates,
-            mesh: Arc::new(messages.mesh()?),
-            stamp: entry.stamp,
-        },
+        Kind::Mesh => {
+            let mesh = messages.mesh()?;
+            Change::Mesh {
+                num_updates: entry.num_mesh_updates,
+                blocks: Arc::new(MeshBlocks::new(entry.mesh_blocks, &mesh)?),
+                mesh: Arc::new(mesh),
+                stamp: entry.stamp,
+            }
+        }
     };
     Ok(Step {
         sequence: entry.sequence,

@@ -429,3 +429,64 @@ fn of_several_poses_for_a_keyframe_the_last_holds() {
     assert_eq!(keyframe.world_from_camera, last);
     assert_eq!(keyframe.id, KeyframeId(0));
 }
+
+#[test]
+fn frames_that_see_nothing_of_the_part_are_refused_and_counted() {
+    // The depth images show a wall 1.5 m from the camera, all around.
+    let params = KeyframeParams {
+        must_see: Some(SightBox::new([0.5, -1.0, 0.5], [1.5, 1.0, 1.5])),
+        ..KeyframeParams::default()
+    };
+    let mut store = KeyframeStore::new(&params);
+    let mut kept_at = Vec::new();
+    for i in 0..24 {
+        let angle_rad = f64::from(i) / 24.0 * TAU;
+        let seed = u32::try_from(i).unwrap();
+        match store.offer(frame(i64::from(i), angle_rad, image(seed, 0))) {
+            Admission::Kept(_) => kept_at.push(i),
+            other => assert_eq!(other, Admission::Rejected(RejectReason::OutsideRegion)),
+        }
+    }
+    // It lies at an eighth of a turn, and the view is an eighth wide.
+    assert!((2..=4).all(|i| kept_at.contains(&i)), "{kept_at:?}");
+    assert!(!kept_at.iter().any(|i| (8..=22).contains(i)), "{kept_at:?}");
+    let report = store.report();
+    let num_refused = report.rejected_by_reason["sees nothing of region.box"];
+    assert_eq!(num_refused + kept_at.len() as u64, 24);
+    assert_eq!(report.num_offered, 24);
+
+    let behind_the_wall = SightBox::new([3.0, -1.0, 3.0], [4.0, 1.0, 4.0]);
+    let mut store = KeyframeStore::new(&KeyframeParams {
+        must_see: Some(behind_the_wall),
+        ..params
+    });
+    let refused = Admission::Rejected(RejectReason::OutsideRegion);
+    let toward = |depth| PosedFrame {
+        depth,
+        ..frame(0, TAU / 8.0, image(1, 0))
+    };
+    assert_eq!(store.offer(toward(Some(depth()))), refused);
+    // Without depth nothing ends the view.
+    assert!(matches!(store.offer(toward(None)), Admission::Kept(_)));
+}
+
+#[test]
+fn what_was_decoded_of_a_keyframe_goes_with_it() {
+    let mut keeps = KeyframeStore::new(&KeyframeParams::default());
+    // As the painter has it, which decodes what another store keeps.
+    let mut decodes = KeyframeStore::new(&KeyframeParams::default());
+    for i in 0..10u32 {
+        keeps.offer(frame(i64::from(i), f64::from(i) * 0.3, image(i, 0)));
+    }
+    let keyframes: Vec<_> = keeps.keyframes().cloned().collect();
+    for keyframe in &keyframes {
+        decodes.decode(keyframe).unwrap();
+    }
+    let num_bytes = decodes.cache_report().num_bytes;
+    assert!(num_bytes > 0);
+    decodes.set_decode_cache_bytes(10 * num_bytes);
+    assert_eq!(decodes.cache_report().num_bytes, num_bytes);
+    drop((keyframes, keeps));
+    decodes.set_decode_cache_bytes(10 * num_bytes);
+    assert_eq!(decodes.cache_report().num_bytes, 0);
+}

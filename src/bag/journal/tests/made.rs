@@ -9,6 +9,8 @@ use crate::geom::{
     CameraModel, ColorImage, DepthEncoding, Distortion, EncodedColor, EncodedDepth, FrameDepth,
     PinholeCamera, RigidTransform, Stamp,
 };
+use crate::ingest::event::MeshBlockKey;
+use crate::ingest::{MeshBlockSpan, MeshBlocks};
 use crate::keyframe::{FrameQuality, Keyframe, KeyframeId};
 use crate::mesh::TriMesh;
 
@@ -180,7 +182,30 @@ impl MadeScan {
         let positions_m = positions_m.collect();
         let triangles = (0..num_triangles).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]);
         let (mesh, _) = TriMesh::from_soup(positions_m, triangles.collect()).unwrap();
+        let spans = if self.random.below(2) == 0 {
+            Vec::new()
+        } else {
+            self.spans(num_triangles)
+        };
+        self.scan.mesh_blocks = Arc::new(MeshBlocks::new(spans, &mesh).unwrap());
         self.scan.mesh = Some(Arc::new(mesh));
         self.scan.num_mesh_updates += 1;
+    }
+    /// Blocks of triangles that share no vertex.
+    fn spans(&mut self, num_triangles: u32) -> Vec<MeshBlockSpan> {
+        let mut num_left = num_triangles;
+        let mut spans = Vec::new();
+        let mut key = i64::MIN;
+        while num_left > 0 {
+            let num = 1 + u32::try_from(self.random.below(num_left.into())).unwrap();
+            key += 1 + i64::try_from(self.random.below(1 << 60)).unwrap();
+            spans.push(MeshBlockSpan {
+                key: MeshBlockKey([key, -1, i64::MAX]),
+                num_vertices: 3 * num,
+                num_triangles: num,
+            });
+            num_left -= num;
+        }
+        spans
     }
 }
