@@ -21,7 +21,9 @@ mkfifo "$work/open"
 exec 9<>"$work/open"
 end() { kill $node 2>/dev/null || true; rm -rf "$work"; }
 trap end EXIT
-echo "net.core.rmem_max $(cat /proc/sys/net/core/rmem_max), $(nproc) cores"
+# The subscribers' sockets have the default size: the larger, the fewer fragments are sent again.
+echo "net.core.rmem_max $(cat /proc/sys/net/core/rmem_max)," \
+    "net.core.rmem_default $(cat /proc/sys/net/core/rmem_default), $(nproc) cores"
 
 # background NAME ARGS…: a peer that runs until the end, what it says in $work/NAME
 background() {
@@ -103,32 +105,33 @@ done
 # 20 MB of markers: a table-top whose texture is fine enough.
 "$veneer" --quiet synth tabletop -o "$work/scan.mcap" --frames 24 --width 640 --height 480
 markers=/veneer/markers=visualization_msgs/msg/MarkerArray
-start_node -p publish.rate_mb:=40.0 -p publish.viewer_textures:=png -p texinit.texels_per_m:=4000.0
+# Painted a second time when all has come: then everything is new.
+start_node -p publish.rate_mb:=40.0 -p publish.viewer_textures:=png -p texinit.texels_per_m:=4000.0 \
+    -p paint_period:=15.0
 background early listen "$markers" --chatty
 wait_for "$work/early" listening 20
 background player play "$work/scan.mcap"
 wait_for "$work/player" '"sent"' 60
-settled() { # NAME LINES: it has said more than that, and nothing more comes for four seconds
+settled() { # NAME SECONDS: something has come, and for so long nothing more
     local last=-1 now
-    while now=$(wc -l <"$work/$1"); [ "$now" != "$last" ] || [ "$now" -le "$2" ]; do
+    # The first line says that it listens, the second that nothing has come.
+    while now=$(wc -l <"$work/$1"); [ "$now" != "$last" ] || [ "$now" -le 2 ]; do
         last=$now
-        sleep 4
+        sleep "$2"
     done
 }
-# Of each, the first line says that it listens, the second that nothing has come.
-settled early 2
-before=$(wc -l <"$work/early")
-# Painted once more, all of it goes to the early subscriber, and from the history to the late one.
-"${peer[@]}" call /veneer/retexture std_srvs/srv/Trigger >"$work/retexture"
-settled early "$before"
+settled early 20
 background late listen "$markers" --chatty --latched
-settled late 2
-"$python" - "$work" "$before" <<'PYTHON'
+settled late 5
+"$python" - "$work" <<'PYTHON'
 import json, sys
-work, at = sys.argv[1], int(sys.argv[2])
+work = sys.argv[1]
 lines = {name: [json.loads(line) for line in open(f"{work}/{name}")] for name in ("early", "late")}
 counts = {name: [said["counts"]["/veneer/markers"] for said in lines[name][1:]] for name in lines}
-before, first, last = counts["early"][at - 2], counts["early"][at - 1], counts["early"][-1]
+# The last painting is what came after the last pause.
+early = [count for count in counts["early"] if count["num"]]
+at = max((i for i in range(1, len(early)) if early[i]["last"] - early[i - 1]["last"] > 2), default=1)
+before, first, last = early[at - 1], early[at], early[-1]
 num, size = last["num"] - before["num"], last["bytes"] - before["bytes"]
 print(f"\nearly subscriber: {num} messages, {size / 1e6:.1f} MB in {last['last'] - first['last']:.2f} s")
 last = counts["late"][-1]

@@ -24,6 +24,8 @@ use super::transport::{DdsTopic, RawWriter, TopicQos, Written};
 
 /// How often it is looked whether somebody came to listen.
 const NEWCOMER_PERIOD: Duration = Duration::from_millis(100);
+/// Newcomers are not told again what is older; rates are over no less.
+const STALE_AFTER: Duration = Duration::from_millis(250);
 
 /// What the watcher of the graph leaves for the monitor.
 #[derive(Debug, Default)]
@@ -99,9 +101,13 @@ impl Telling {
         self.last = message;
     }
 
-    /// Who comes between two messages gets the last one at once.
-    fn tell_newcomers(&mut self) {
-        if !self.writer.newly_matched().is_empty() && !self.last.is_empty() {
+    /// Whether somebody began to listen since this was asked last.
+    fn has_newcomers(&mut self) -> bool {
+        !self.writer.newly_matched().is_empty()
+    }
+
+    fn tell_again(&mut self) {
+        if !self.last.is_empty() {
             self.tell(self.last.clone());
         }
     }
@@ -163,16 +169,23 @@ impl Monitor {
     pub(super) async fn run(mut self) {
         loop {
             self.tell();
+            let (told_at, num_resets) = (Instant::now(), self.control.shared.num_resets());
             let period_s = self.control.shared.config().node.diagnostics_period_s;
-            let due = Instant::now() + Duration::from_secs_f64(period_s);
+            let due = told_at + Duration::from_secs_f64(period_s);
             loop {
                 let left = due.saturating_duration_since(Instant::now());
-                if left.is_zero() {
+                if left.is_zero() || self.control.shared.num_resets() != num_resets {
                     break;
                 }
                 smol::Timer::after(left.min(NEWCOMER_PERIOD)).await;
-                for telling in [&mut self.diagnostics, &mut self.status] {
-                    telling.tell_newcomers();
+                let tellings = [&mut self.diagnostics, &mut self.status];
+                let mut awaited = tellings.map(|telling| (telling.has_newcomers(), telling));
+                let is_any_awaited = awaited.iter().any(|(is_awaited, _)| *is_awaited);
+                if is_any_awaited && told_at.elapsed() >= STALE_AFTER {
+                    break;
+                }
+                for (_, telling) in awaited.iter_mut().filter(|(is_awaited, _)| *is_awaited) {
+                    telling.tell_again();
                 }
             }
         }

@@ -9,9 +9,9 @@
 //! Texels without a frame of their own — triangles without a label, and the parts of large
 //! triangles that something hides in the chosen frame — get the mean in linear light over all
 //! frames that see them, by the z-buffer of the mesh and the measured depth
-//! ([`TexelSource::MEAN`]); views beside a depth edge count for an eighth. What nobody sees stays
-//! [`TexelSource::NONE`]. [`TransferMode::L2Avg`] paints every texel with the mean over the frames
-//! that see it; with [`VisibilityParams::edge_margin_px`] 0 all of them count alike.
+//! ([`crate::atlas::TexelSource::MEAN`]); views beside a depth edge count for an eighth. What nobody sees stays
+//! [`crate::atlas::TexelSource::NONE`]. [`TransferMode::L2Avg`] paints every texel with the mean over the frames
+//! that see it; with [`crate::render::VisibilityParams::edge_margin_px`] 0 all of them count alike.
 //!
 //! [`TransferParams::paper`] is the published program's form of it: the nearest pixel, affine in the
 //! image plane, and means over every frame that a texel projects into.
