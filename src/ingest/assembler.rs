@@ -9,6 +9,7 @@
 //! Each message that is pushed is counted as used or refused in the end, see [`IngestReport`].
 
 mod corrections;
+mod waiting;
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -24,10 +25,9 @@ use super::pose_lookup::{Attempt, DepthPose, DepthStamps, PoseLookup};
 use super::report::{IngestReport, reason_class};
 use super::source::TimedEvent;
 use super::sync::{Stamped, SyncDrop, SyncOutput, SyncParams, SyncStream, Synchronizer};
-use crate::geom::{
-    CameraModel, EncodedColor, EncodedDepth, FrameDepth, PosedFrame, RigidTransform, Stamp,
-};
+use crate::geom::{CameraModel, FrameDepth, PosedFrame, RigidTransform, Stamp};
 use crate::mesh::{SoupReport, TriMesh};
+use waiting::{Image, NotYet, Pixels, WaitingFrame, WaitingMesh, not_yet, unusable_camera};
 
 /// Mesh updates that may wait for a transform; the oldest must then do with what is known.
 const MESH_QUEUE_SIZE: usize = 64;
@@ -45,60 +45,6 @@ pub enum Assembled {
     Mesh(Arc<TriMesh>),
     /// Better poses of frames that were given out before, in the world frame.
     Corrections(Vec<PoseCorrection>),
-}
-
-#[derive(Debug)]
-enum Pixels {
-    Color(EncodedColor),
-    Depth(EncodedDepth),
-}
-
-impl Pixels {
-    fn size_px(&self) -> (u32, u32) {
-        match self {
-            Self::Color(color) => (color.width(), color.height()),
-            Self::Depth(depth) => (depth.width(), depth.height()),
-        }
-    }
-
-    fn check(&self, max_px: usize) -> Result<(), String> {
-        let (width, height) = self.size_px();
-        if u64::from(width) * u64::from(height) > max_px as u64 {
-            return Err(format!(
-                "image of {width}x{height} pixels, limits.image_px is {max_px}"
-            ));
-        }
-        Ok(())
-    }
-}
-
-#[derive(Debug)]
-struct Image {
-    topic: usize,
-    frame_id: Arc<str>,
-    pixels: Pixels,
-    camera: Option<CameraModel>,
-}
-
-#[derive(Debug)]
-struct WaitingFrame {
-    since: Stamp,
-    color: Stamped<Image>,
-    depth: Option<Stamped<Image>>,
-}
-
-#[derive(Debug)]
-struct WaitingMesh {
-    since: Stamp,
-    topic: usize,
-    header: Header,
-    update: MeshUpdate,
-}
-
-/// Why a frame does not leave now.
-enum NotYet {
-    Wait,
-    Refuse { class: String, text: String },
 }
 
 /// The ingest stage.
@@ -678,33 +624,6 @@ impl Assembler {
             self.report.assumptions.insert(text.to_owned());
         }
     }
-}
-
-fn not_yet(is_overdue: bool, error: &LookupError) -> NotYet {
-    if !is_overdue && error.may_resolve() {
-        return NotYet::Wait;
-    }
-    NotYet::Refuse {
-        class: error.class().to_owned(),
-        text: error.to_string(),
-    }
-}
-
-/// Why an image's intrinsics cannot be used.
-fn unusable_camera(image: &Image) -> Option<String> {
-    let (width, height) = image.pixels.size_px();
-    let Some(camera) = image.camera else {
-        return Some("no camera info".to_owned());
-    };
-    let pinhole = camera.pinhole;
-    let is_same = (pinhole.width(), pinhole.height()) == (width, height);
-    (!is_same).then(|| {
-        format!(
-            "image is {width}x{height} but its camera info is for {}x{}",
-            pinhole.width(),
-            pinhole.height()
-        )
-    })
 }
 
 #[cfg(test)]
