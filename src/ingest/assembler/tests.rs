@@ -3,6 +3,7 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::geom::{ColorEncoding, DepthEncoding, PinholeCamera};
+use crate::geom::{EncodedColor, EncodedDepth};
 use crate::ingest::event::CorrectedBody;
 use crate::ingest::params::PoseSource;
 use crate::ingest::source::Rejection;
