@@ -19,12 +19,15 @@
 
 mod lookup;
 mod nearest;
+mod tracked;
 
 use nalgebra::Point3;
 
 use super::ids::TriangleId;
 use super::tri_mesh::TriMesh;
 use lookup::{Places, Pool, Turned};
+
+pub use tracked::TrackedMesh;
 
 /// When vertices are the same.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -171,7 +174,8 @@ pub fn on_grid(mesh: &TriMesh, quantum_m: f64) -> Result<TriMesh, DiffError> {
         .unwrap_or_default())
 }
 
-/// Compares two meshes.
+/// Compares two meshes. One that is followed as it changes is compared at less cost by
+/// [`TrackedMesh`].
 ///
 /// # Errors
 /// [`DiffError`] when a parameter is no length or the grid cannot number a coordinate.
@@ -180,33 +184,21 @@ pub fn diff(old: &TriMesh, new: &TriMesh, params: &DiffParams) -> Result<MeshDif
     let mut places = Places::with_capacity(old.num_vertices() + new.num_vertices());
     let old_places = places_of(old, params, &mut places)?;
     let new_places = places_of(new, params, &mut places)?;
-
-    let old_turned = turned(old, &old_places);
-    let new_turned = turned(new, &new_places);
-    let mut pool = Pool::of(&old_turned);
-    let mut origins: Vec<Origin> = new_turned
-        .iter()
-        .map(|&triangle| match pool.take(triangle, &old_turned) {
-            Some(old) => Origin::Kept(old),
-            None => Origin::New,
-        })
-        .collect();
-
-    let comparison = Unkept {
+    let turned = |mesh: &TriMesh, places: &[u32]| {
+        let corners = mesh.triangles().iter();
+        let turned = corners.map(|corners| Turned::of(corners.map(|v| places[v as usize])));
+        mesh.triangle_ids().zip(turned).collect()
+    };
+    let comparison = Comparison {
+        old: turned(old, &old_places),
+        new: turned(new, &new_places),
+        is_old: &named(&places, &old_places, old),
+        is_new: &named(&places, &new_places, new),
         places: &places,
-        old_turned: &old_turned,
-        new_turned: &new_turned,
         params,
     };
-    let moves = comparison.moves(&pool.left(), &origins);
-    comparison.find_moved(&moves, &mut pool, &mut origins);
-    let gone = pool.left();
-    let is_gone_at = comparison.places_of_gone(&gone, &moves);
-    for (origin, triangle) in origins.iter_mut().zip(&new_turned) {
-        if *origin == Origin::New && triangle.places.iter().any(|&p| is_gone_at[p as usize]) {
-            *origin = Origin::Changed;
-        }
-    }
+    let mut origins = vec![Origin::New; new.num_triangles()];
+    let Compared { gone, is_gone_at } = comparison.find(&mut origins);
     let mut is_touched: Vec<bool> = new_places.iter().map(|&p| is_gone_at[p as usize]).collect();
     for (corners, origin) in new.triangles().iter().zip(&origins) {
         if !matches!(origin, Origin::Kept(_)) {
@@ -220,6 +212,15 @@ pub fn diff(old: &TriMesh, new: &TriMesh, params: &DiffParams) -> Result<MeshDif
         gone,
         is_touched,
     })
+}
+
+/// Per place, whether a triangle names a vertex there.
+fn named(places: &Places, place_of_vertex: &[u32], mesh: &TriMesh) -> Vec<bool> {
+    let mut is_named = vec![false; places.len()];
+    for &vertex in mesh.triangles().as_flattened() {
+        is_named[place_of_vertex[vertex as usize] as usize] = true;
+    }
+    is_named
 }
 
 fn check(params: &DiffParams) -> Result<(), DiffError> {
@@ -269,72 +270,92 @@ fn places_of(
         .collect()
 }
 
-fn turned(mesh: &TriMesh, places: &[u32]) -> Vec<Turned> {
-    mesh.triangles()
-        .iter()
-        .map(|corners| Turned::of(corners.map(|v| places[v as usize])))
-        .collect()
-}
-
-/// Triangles that are not kept, of both meshes.
-struct Unkept<'a> {
+/// Triangles of two meshes that are to be compared.
+struct Comparison<'a> {
     places: &'a Places,
-    old_turned: &'a [Turned],
-    new_turned: &'a [Turned],
+    /// Triangles of the old mesh that may have a successor; ascending.
+    old: Vec<(TriangleId, Turned)>,
+    /// Triangles of the new mesh that may have a predecessor; ascending.
+    new: Vec<(TriangleId, Turned)>,
+    /// Per place: whether a triangle of the old mesh, to be compared or not, is there.
+    is_old: &'a [bool],
+    /// The same of the new mesh.
+    is_new: &'a [bool],
     params: &'a DiffParams,
 }
 
-impl Unkept<'_> {
-    /// Per place, where its old vertex is now: at the place itself unless it moved; and back.
-    fn moves(&self, old_left: &[TriangleId], origins: &[Origin]) -> nearest::Moves {
-        let num_places = self.places.len();
-        let (mut is_old, mut is_new) = (vec![false; num_places], vec![false; num_places]);
-        for place in self.old_turned.iter().flat_map(|triangle| triangle.places) {
-            is_old[place as usize] = true;
-        }
-        for place in self.new_turned.iter().flat_map(|triangle| triangle.places) {
-            is_new[place as usize] = true;
-        }
-        let old_left = old_left.iter().map(|t| self.old_turned[t.index()]);
-        let came = self.new_turned.iter().zip(origins);
-        let came = came.filter(|(_, origin)| **origin == Origin::New);
-        let left = lone_places(old_left, &is_new);
-        let came = lone_places(came.map(|(triangle, _)| *triangle), &is_old);
-        nearest::Moves::mutual(self.places, &left, &came, self.params)
-    }
+/// What came of a comparison.
+struct Compared {
+    /// Old triangles that are neither kept nor moved, ascending.
+    gone: Vec<TriangleId>,
+    /// Per place: whether an old triangle is gone there, before or after a move.
+    is_gone_at: Vec<bool>,
+}
 
-    /// Matches what is equal once the vertices have moved.
-    fn find_moved(&self, moves: &nearest::Moves, pool: &mut Pool, origins: &mut [Origin]) {
-        if moves.is_empty() {
-            return;
+impl Comparison<'_> {
+    /// Finds where the new triangles come from; the origins of others are left alone.
+    fn find(&self, origins: &mut [Origin]) -> Compared {
+        let old: Vec<Turned> = self.old.iter().map(|(_, turned)| *turned).collect();
+        let named = |found: OldTriangle, of: &[u32]| OldTriangle {
+            triangle: self.old[of[found.triangle.index()] as usize].0,
+            ..found
+        };
+        let all: Vec<u32> = (0_u32..).take(old.len()).collect();
+        let mut pool = Pool::of(&old);
+        for &(triangle, turned) in &self.new {
+            origins[triangle.index()] = match pool.take(turned, &old) {
+                Some(found) => Origin::Kept(named(found, &all)),
+                None => Origin::New,
+            };
         }
-        let old_left = pool.left();
-        let after: Vec<Turned> = old_left
-            .iter()
-            .map(|t| self.old_turned[t.index()].with_places(|p| moves.after(p)))
-            .collect();
-        let mut moved = Pool::of(&after);
-        let came = origins.iter_mut().zip(self.new_turned);
-        for (origin, &triangle) in came.filter(|(origin, _)| **origin == Origin::New) {
-            if let Some(found) = moved.take(triangle, &after) {
-                let old = old_left[found.triangle.index()];
-                pool.remove(old);
-                *origin = Origin::Moved(OldTriangle {
-                    triangle: old,
-                    ..found
-                });
+
+        let moves = self.moves(&pool.left(), origins);
+        if !moves.is_empty() {
+            let left: Vec<u32> = pool.left().into_iter().map(|index| index.0).collect();
+            let moved = |&index: &u32| old[index as usize].with_places(|p| moves.after(p));
+            let after: Vec<Turned> = left.iter().map(moved).collect();
+            let mut moved = Pool::of(&after);
+            for &(triangle, turned) in &self.new {
+                let origin = &mut origins[triangle.index()];
+                if *origin == Origin::New
+                    && let Some(found) = moved.take(turned, &after)
+                {
+                    pool.remove(TriangleId(left[found.triangle.index()]));
+                    *origin = Origin::Moved(named(found, &left));
+                }
             }
         }
+
+        let mut compared = Compared {
+            gone: Vec::new(),
+            is_gone_at: vec![false; self.places.len()],
+        };
+        for index in pool.left() {
+            let (triangle, turned) = self.old[index.index()];
+            compared.gone.push(triangle);
+            for place in turned.places {
+                compared.is_gone_at[place as usize] = true;
+                compared.is_gone_at[moves.after(place) as usize] = true;
+            }
+        }
+        for (triangle, turned) in &self.new {
+            let origin = &mut origins[triangle.index()];
+            let is_gone = |&place: &u32| compared.is_gone_at[place as usize];
+            if *origin == Origin::New && turned.places.iter().any(is_gone) {
+                *origin = Origin::Changed;
+            }
+        }
+        compared
     }
 
-    /// Places at which an old triangle is gone, before or after a move.
-    fn places_of_gone(&self, gone: &[TriangleId], moves: &nearest::Moves) -> Vec<bool> {
-        let mut is_gone_at = vec![false; self.places.len()];
-        for place in gone.iter().flat_map(|t| self.old_turned[t.index()].places) {
-            is_gone_at[place as usize] = true;
-            is_gone_at[moves.after(place) as usize] = true;
-        }
-        is_gone_at
+    /// Where vertices went that are nowhere any more.
+    fn moves(&self, left: &[TriangleId], origins: &[Origin]) -> nearest::Moves {
+        let left = left.iter().map(|index| self.old[index.index()].1);
+        let came = self.new.iter();
+        let came = came.filter(|(triangle, _)| origins[triangle.index()] == Origin::New);
+        let left = lone_places(left, self.is_new);
+        let came = lone_places(came.map(|(_, turned)| *turned), self.is_old);
+        nearest::Moves::mutual(self.places, &left, &came, self.params)
     }
 }
 

@@ -105,6 +105,21 @@ impl TriMesh {
         ))
     }
 
+    /// A mesh of finite positions and of indices that are known to be in range.
+    pub(super) fn of_parts(positions_m: Vec<Point3<f64>>, triangles: Vec<[u32; 3]>) -> Self {
+        debug_assert!(
+            triangles
+                .as_flattened()
+                .iter()
+                .all(|&vertex| (vertex as usize) < positions_m.len()),
+            "an index is out of range"
+        );
+        Self {
+            positions_m,
+            triangles,
+        }
+    }
+
     /// Vertex positions in metres.
     pub fn positions_m(&self) -> &[Point3<f64>] {
         &self.positions_m

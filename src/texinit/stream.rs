@@ -31,6 +31,7 @@
 mod budget;
 mod charts;
 mod cover;
+mod inherit;
 mod keyframes;
 mod placing;
 mod repaint;
@@ -42,7 +43,7 @@ use std::sync::Arc;
 
 use crate::atlas::{AtlasLayout, AtlasTexture, ChartPlacer, PackError, TexelRect};
 use crate::keyframe::Keyframe;
-use crate::mesh::{DiffCounts, DiffError, DiffParams, TriMesh};
+use crate::mesh::{DiffCounts, DiffError, DiffParams, TrackedMesh, TriMesh};
 use crate::render::{MeshRuns, VisibilityParams};
 
 use super::assign::quality::TypicalQuality;
@@ -147,8 +148,8 @@ pub struct StreamUpdate {
 pub struct StreamInit {
     params: TexInitParams,
     stream: StreamParams,
-    /// The mesh as it was given, to see at once that it is the same.
-    given: Option<Arc<TriMesh>>,
+    /// The mesh as it is given.
+    tracked: TrackedMesh,
     mesh: TriMesh,
     runs: MeshRuns,
     layout: AtlasLayout,
@@ -184,7 +185,7 @@ impl StreamInit {
         Ok(Self {
             runs: MeshRuns::new(&mesh),
             layout: charts::layout_of(&[], None, 0),
-            given: None,
+            tracked: TrackedMesh::new(&stream.diff)?,
             mesh,
             texture: AtlasTexture::default(),
             charts: Vec::new(),
@@ -307,7 +308,7 @@ impl StreamInit {
 
     /// Forgets all.
     fn clear(&mut self) {
-        self.given = None;
+        self.tracked.clear();
         self.mesh = TriMesh::default();
         self.runs = MeshRuns::new(&self.mesh);
         self.charts.clear();

@@ -22,6 +22,7 @@ fn hash(words: [u64; 3]) -> u64 {
 }
 
 /// Open addressing: slots with the numbers of entries.
+#[derive(Debug)]
 struct Slots {
     slots: Vec<u32>,
 }
@@ -35,21 +36,72 @@ impl Slots {
     }
 
     /// The slot of the entry that `is_it` says, or the free one where it belongs.
-    #[expect(clippy::cast_possible_truncation, reason = "masked")]
     fn find(&mut self, hash: u64, is_it: impl Fn(u32) -> bool) -> &mut u32 {
+        let at = self.place_of(hash, is_it);
+        &mut self.slots[at]
+    }
+
+    /// The entry that `is_it` says.
+    fn get(&self, hash: u64, is_it: impl Fn(u32) -> bool) -> Option<u32> {
+        let at = self.place_of(hash, is_it);
+        Some(self.slots[at]).filter(|&entry| entry != EMPTY)
+    }
+
+    /// Where the entry is that `is_it` says, or the free slot where it belongs.
+    #[expect(clippy::cast_possible_truncation, reason = "masked")]
+    fn place_of(&self, hash: u64, is_it: impl Fn(u32) -> bool) -> usize {
         let mask = self.slots.len() - 1;
         let mut at = hash as usize & mask;
         while self.slots[at] != EMPTY && !is_it(self.slots[at]) {
             at = (at + 1) & mask;
         }
-        &mut self.slots[at]
+        at
+    }
+
+    /// Makes room for twice as many entries, whose hashes are asked for.
+    fn grow(&mut self, hash_of: impl Fn(u32) -> u64) {
+        let before = std::mem::take(&mut self.slots);
+        self.slots = vec![EMPTY; 2 * before.len()];
+        for entry in before.into_iter().filter(|&entry| entry != EMPTY) {
+            *self.find(hash_of(entry), |_| false) = entry;
+        }
+    }
+
+    /// Takes an entry out, and moves those up that were pushed on by it.
+    #[expect(clippy::cast_possible_truncation, reason = "masked")]
+    fn remove(&mut self, entry: u32, hash_of: impl Fn(u32) -> u64) {
+        let mask = self.slots.len() - 1;
+        let mut hole = self.place_of(hash_of(entry), |k| k == entry);
+        let mut at = hole;
+        loop {
+            at = (at + 1) & mask;
+            let Some(&other) = self.slots.get(at).filter(|&&other| other != EMPTY) else {
+                break;
+            };
+            // It may go to the hole unless that lies before the slot where its search begins.
+            let home = hash_of(other) as usize & mask;
+            if at.wrapping_sub(home) & mask >= at.wrapping_sub(hole) & mask {
+                self.slots[hole] = other;
+                hole = at;
+            }
+        }
+        self.slots[hole] = EMPTY;
     }
 }
 
-/// Numbers grid points in the order in which they come.
+/// Numbers grid points in the order in which they come; numbers of points that are forgotten are
+/// given anew.
+#[derive(Debug)]
 pub(super) struct Places {
     slots: Slots,
+    /// By number, those that are forgotten among them.
     points: Vec<GridPoint>,
+    /// Numbers to be given anew.
+    free: Vec<u32>,
+}
+
+fn hash_of(point: GridPoint) -> u64 {
+    hash(point.map(i64::cast_unsigned))
 }
 
 impl Places {
@@ -57,28 +109,59 @@ impl Places {
         Self {
             slots: Slots::for_entries(num_points),
             points: Vec::with_capacity(num_points),
+            free: Vec::new(),
         }
     }
 
-    /// The number of a point; there are no more than the capacity.
+    /// The number of a point.
     #[expect(
         clippy::cast_possible_truncation,
         reason = "two meshes of 32 bits at most"
     )]
     pub(super) fn insert(&mut self, point: GridPoint) -> u32 {
-        let points = &self.points;
-        let slot = self.slots.find(hash(point.map(i64::cast_unsigned)), |k| {
-            points[k as usize] == point
-        });
+        let points = &mut self.points;
+        if 2 * (points.len() - self.free.len()) >= self.slots.slots.len() {
+            self.slots.grow(|place| hash_of(points[place as usize]));
+        }
+        let slot = self
+            .slots
+            .find(hash_of(point), |k| points[k as usize] == point);
         if *slot == EMPTY {
-            *slot = points.len() as u32;
-            self.points.push(point);
+            *slot = match self.free.pop() {
+                Some(free) => {
+                    points[free as usize] = point;
+                    free
+                }
+                None => {
+                    points.push(point);
+                    points.len() as u32 - 1
+                }
+            };
         }
         *slot
     }
 
+    /// The number of a point that has one.
+    pub(super) fn get(&self, point: GridPoint) -> Option<u32> {
+        let is_it = |k: u32| self.points[k as usize] == point;
+        self.slots.get(hash_of(point), is_it)
+    }
+
+    /// Forgets a point, by its number.
+    pub(super) fn remove(&mut self, place: u32) {
+        let points = &self.points;
+        self.slots.remove(place, |k| hash_of(points[k as usize]));
+        self.free.push(place);
+    }
+
+    /// All numbers are below this.
     pub(super) fn len(&self) -> usize {
         self.points.len()
+    }
+
+    /// How many numbers stand for nothing.
+    pub(super) fn num_free(&self) -> usize {
+        self.free.len()
     }
 
     pub(super) fn point(&self, place: u32) -> GridPoint {

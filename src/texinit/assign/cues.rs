@@ -82,6 +82,29 @@ impl FrameCandidates {
         }
     }
 
+    /// What it says of the triangles that have another number, by these. What it says of vertices is
+    /// left out.
+    pub(crate) fn renumbered(&self, number: impl Fn(u32) -> Option<u32>) -> Self {
+        let candidates = self.candidates.iter().filter_map(|candidate| {
+            number(candidate.triangle).map(|triangle| Candidate {
+                triangle,
+                ..*candidate
+            })
+        });
+        let mut candidates: Vec<Candidate> = candidates.collect();
+        candidates.sort_unstable_by_key(|candidate| candidate.triangle);
+        let valid_colors = self.valid_colors.iter();
+        let mut valid_colors: Vec<_> = valid_colors
+            .filter_map(|(triangle, colors)| Some((number(*triangle)?, *colors)))
+            .collect();
+        valid_colors.sort_unstable_by_key(|(triangle, _)| *triangle);
+        Self {
+            candidates,
+            vertex_colors: Vec::new(),
+            valid_colors,
+        }
+    }
+
     /// Whether it says nothing.
     pub(crate) fn is_empty(&self) -> bool {
         self.candidates.is_empty() && self.vertex_colors.is_empty() && self.valid_colors.is_empty()

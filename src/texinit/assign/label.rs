@@ -160,6 +160,26 @@ impl CandidateTable {
         is_there || self.failed.len() < num_failed
     }
 
+    /// What all frames say, by frame, ascending.
+    pub(crate) fn columns(&self) -> impl Iterator<Item = (u32, FrameQuality, &FrameCandidates)> {
+        let columns = self.columns.iter();
+        columns.map(|column| (column.frame, column.quality, &column.scored))
+    }
+
+    /// Forgets what is said of some triangles.
+    pub(crate) fn retain(&mut self, is_kept: impl Fn(u32) -> bool) {
+        let num_triangles = self.triangle_colors.len();
+        let before = std::mem::replace(self, Self::new(num_triangles, self.vertex_colors.len()));
+        for column in before.columns {
+            let same_number = |triangle: u32| is_kept(triangle).then_some(triangle);
+            let scored = column.scored.renumbered(same_number);
+            if !scored.is_empty() {
+                self.add(column.frame, column.quality, scored);
+            }
+        }
+        self.failed = before.failed;
+    }
+
     /// What a frame's column says, where it has one.
     pub(crate) fn column(&self, frame: u32) -> Option<&FrameCandidates> {
         let column = self.columns.get(self.position(frame))?;

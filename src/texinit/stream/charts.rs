@@ -14,6 +14,13 @@ use crate::texinit::transfer::TexelSum;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct StreamChartId(pub u64);
 
+/// A triangle of the mesh that is tracked, listed from one of its corners on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Member {
+    pub(super) triangle: TriangleId,
+    pub(super) first_corner: u8,
+}
+
 /// A chart, as the layout has it, and what the keyframes say of it. Triangles are named by their
 /// number in the chart.
 #[derive(Debug)]
@@ -21,6 +28,8 @@ pub(super) struct StreamChart {
     pub(super) id: StreamChartId,
     /// Its triangles are those of the mesh, in a row.
     pub(super) piece: PlacedPiece,
+    /// The same triangles in the mesh that is tracked.
+    pub(super) members: Vec<Member>,
     pub(super) bounds: BoundingBox,
     /// How far a vertex may have moved since the chart was flattened, metres.
     pub(super) drift_m: f64,
@@ -34,8 +43,13 @@ pub(super) struct StreamChart {
 }
 
 impl StreamChart {
+    /// A chart that was just placed, its triangles still those of the tracked mesh.
     pub(super) fn new(id: StreamChartId, piece: PlacedPiece) -> Self {
         let num_triangles = piece.chart.triangles.len();
+        let members = piece.chart.triangles.iter().map(|&triangle| Member {
+            triangle,
+            first_corner: 0,
+        });
         Self {
             id,
             bounds: BoundingBox::around([]),
@@ -49,6 +63,7 @@ impl StreamChart {
                 is_partly_hidden: vec![false; num_triangles],
                 ..Assignment::default()
             },
+            members: members.collect(),
             means: BTreeMap::new(),
             coverage: vec![Coverage::default(); num_triangles],
             piece,
@@ -83,6 +98,8 @@ pub(super) struct Dirt {
     pub(super) is_renumbered: bool,
     /// Per triangle, whether a corner moved; empty where none did.
     pub(super) moved: Vec<bool>,
+    /// Per triangle, whether keyframes that stayed say nothing of it yet; empty where they all do.
+    pub(super) unscored: Vec<bool>,
     /// It has other scores.
     pub(super) has_new_scores: bool,
     /// Keyframes that may see other parts of it than they did, or are gone.
@@ -94,6 +111,14 @@ pub(super) struct Dirt {
 impl Dirt {
     pub(super) fn is_moved(&self) -> bool {
         !self.moved.is_empty()
+    }
+
+    pub(super) fn has_unscored(&self) -> bool {
+        self.unscored.contains(&true)
+    }
+
+    pub(super) fn is_unscored(&self, number: usize) -> bool {
+        self.unscored.get(number).copied().unwrap_or(false)
     }
 
     pub(super) fn is_triangle_moved(&self, number: usize) -> bool {

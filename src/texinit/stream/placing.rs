@@ -56,7 +56,7 @@ impl StreamInit {
         };
         self.placer = Some(placer);
         for piece in pieces {
-            change.add_fresh(&piece.chart.triangles);
+            change.add_fresh();
             let id = StreamChartId(self.next_chart);
             self.next_chart += 1;
             self.charts.push(StreamChart::new(id, piece));

@@ -104,7 +104,7 @@ impl StreamInit {
     /// Around charts that have to be scored and surface that may hide others.
     fn changed_bounds(&self, change: &SurfaceChange) -> Option<BoundingBox> {
         let charts = self.charts.iter().zip(&change.dirt);
-        let to_score = charts.filter(|(_, dirt)| dirt.is_fresh || dirt.is_moved());
+        let to_score = charts.filter(|(_, dirt)| dirt.has_unscored());
         let corners = to_score.flat_map(|(chart, _)| chart.bounds.corners_m());
         let touched = change.gone.iter().chain(&change.came).flatten();
         let mut points = corners.chain(touched.copied());
@@ -297,17 +297,16 @@ impl Scoring<'_> {
             if !view.may_see(&chart.bounds) {
                 continue;
             }
-            let is_new = is_unseen || dirt.is_fresh || dirt.is_moved();
-            let cover = match cover {
-                _ if is_new => None,
-                Some(cover) if cover.meets(&chart.bounds.corners_m()) => Some(cover),
-                _ => continue,
-            };
+            let cover = cover.filter(|cover| cover.meets(&chart.bounds.corners_m()));
+            if !is_unseen && !dirt.has_unscored() && cover.is_none() {
+                continue;
+            }
             let mut triangles = Vec::new();
             for (triangle, of_chart) in (0_u32..).zip(&*chart.piece.chart.triangles) {
                 let corners_m: [Point3<f64>; 3] = self.state.mesh.corners_m(*of_chart);
-                let may_differ = cover.is_none_or(|cover| cover.meets(&corners_m));
-                if may_differ && !view.hides(&corners_m, bound) {
+                let is_unscored = is_unseen || dirt.is_unscored(triangle as usize);
+                let may_differ = || cover.is_some_and(|cover| cover.meets(&corners_m));
+                if (is_unscored || may_differ()) && !view.hides(&corners_m, bound) {
                     triangles.push(triangle);
                     if !is_unseen {
                         window.include(view.corners_px(&corners_m));

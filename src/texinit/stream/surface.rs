@@ -5,15 +5,14 @@ use std::sync::Arc;
 
 use nalgebra::Point3;
 
-use super::charts::{Dirt, StreamChart, layout_of, triangles_from};
+use super::charts::{Dirt, Member, StreamChart, layout_of, triangles_from};
 use super::cover::Cover;
+use super::inherit::Orphans;
 use super::{StreamError, StreamInit, StreamUpdate};
 use crate::atlas::TexelSource;
-use crate::mesh::diff::on_grid;
-use crate::mesh::{MeshDiff, OldTriangle, Origin, TriMesh, TriangleId, diff};
+use crate::mesh::{MeshDiff, OldTriangle, Origin, TriMesh, TriangleId};
 use crate::render::{BoundingBox, MeshRuns};
 use crate::texinit::assign::chart_table::chart_mesh;
-use crate::texinit::assign::label::CandidateTable;
 use crate::texinit::flatten::{self, FlatChart};
 use crate::texinit::overlap;
 
@@ -21,11 +20,13 @@ use crate::texinit::overlap;
 #[derive(Debug, Default)]
 pub(super) struct SurfaceChange {
     /// The mesh, its triangles in the caller's order.
-    mesh: TriMesh,
-    /// Per chart that stays: its triangles in `mesh`, with the corner of each that comes first.
-    members: Vec<Vec<Member>>,
+    mesh: Arc<TriMesh>,
     /// Triangles of `mesh` that have no chart, ascending.
     loose: Vec<TriangleId>,
+    /// What is known of these.
+    orphans: Orphans,
+    /// Whether the triangles of `mesh` are others, or others are in charts, than before.
+    has_new_order: bool,
     /// Surface that went, or moved away, as triangles in space.
     pub(super) gone: Vec<[Point3<f64>; 3]>,
     /// Surface that came, or moved there.
@@ -38,18 +39,30 @@ pub(super) struct SurfaceChange {
     pub(super) covers: BTreeMap<u32, Cover>,
 }
 
-/// A triangle of the caller's mesh, listed from one of its corners on.
-#[derive(Clone, Copy, Debug)]
-struct Member {
-    triangle: TriangleId,
-    first_corner: u8,
-}
-
 /// What became of an old triangle.
 #[derive(Clone, Copy)]
 struct Successor {
     member: Member,
     is_moved: bool,
+}
+
+impl Successor {
+    /// What became of a member, whose corners are listed from another one on.
+    fn from(self, before: Member) -> Self {
+        Self {
+            member: Member {
+                first_corner: (self.member.first_corner + before.first_corner) % 3,
+                ..self.member
+            },
+            ..self
+        }
+    }
+
+    /// The triangle, where nothing of it is another, not even which corner comes first.
+    fn as_it_was(self) -> Option<TriangleId> {
+        let is_same = !self.is_moved && self.member.first_corner == 0;
+        is_same.then_some(self.member.triangle)
+    }
 }
 
 impl StreamInit {
@@ -59,22 +72,24 @@ impl StreamInit {
         given: &Arc<TriMesh>,
         update: &mut StreamUpdate,
     ) -> Result<SurfaceChange, StreamError> {
-        let is_same = self
-            .given
-            .as_ref()
-            .is_some_and(|old| Arc::ptr_eq(old, given));
-        let mesh = if is_same {
-            self.mesh.clone()
-        } else {
-            on_grid(given, self.stream.diff.quantum_m)?
+        let before = Arc::clone(self.tracked.mesh());
+        let found = self.tracked.follow(given)?;
+        let mesh = Arc::clone(self.tracked.mesh());
+        let Some(found) = found.or_else(|| self.all_kept()) else {
+            update.mesh.num_kept = mesh.num_triangles();
+            return Ok(SurfaceChange {
+                is_touched: vec![false; mesh.num_vertices()],
+                dirt: vec![Dirt::default(); self.charts.len()],
+                mesh,
+                ..SurfaceChange::default()
+            });
         };
-        let found = diff(&self.mesh, &mesh, &self.stream.diff)?;
-        self.given = Some(given.clone());
         update.mesh = found.counts();
         let mut change = SurfaceChange {
-            gone: self.gone(&found),
+            gone: gone(&before, &found),
             came: came(&mesh, &found),
             is_touched: found.is_touched.clone(),
+            has_new_order: true,
             mesh,
             ..SurfaceChange::default()
         };
@@ -82,14 +97,20 @@ impl StreamInit {
         Ok(change)
     }
 
-    /// Where surface is no more.
-    fn gone(&self, found: &MeshDiff) -> Vec<[Point3<f64>; 3]> {
-        let moved = found.origins.iter().filter_map(|origin| match origin {
-            Origin::Moved(old) => Some(old.triangle),
-            _ => None,
-        });
-        let gone = found.gone.iter().copied().chain(moved);
-        gone.map(|triangle| self.mesh.corners_m(triangle)).collect()
+    /// The same mesh as before, where it must be gone through nonetheless: charts have no density yet.
+    fn all_kept(&self) -> Option<MeshDiff> {
+        let mesh = self.tracked.mesh();
+        let itself = |triangle| {
+            Origin::Kept(OldTriangle {
+                triangle,
+                first_corner: 0,
+            })
+        };
+        (!self.has_density).then(|| MeshDiff {
+            origins: mesh.triangle_ids().map(itself).collect(),
+            gone: Vec::new(),
+            is_touched: vec![false; mesh.num_vertices()],
+        })
     }
 
     /// Keeps the charts that can stay, and takes the others off their pages.
@@ -99,7 +120,8 @@ impl StreamInit {
         change: &mut SurfaceChange,
         update: &mut StreamUpdate,
     ) {
-        let mut successors: Vec<Option<Successor>> = vec![None; self.mesh.num_triangles()];
+        let num_before = self.charts.iter().map(StreamChart::len).sum();
+        let mut successors: Vec<Option<Successor>> = vec![None; num_before];
         let mut is_beside_change = vec![false; change.mesh.num_vertices()];
         for (triangle, origin) in change.mesh.triangle_ids().zip(&found.origins) {
             match *origin {
@@ -118,8 +140,8 @@ impl StreamInit {
         }
         let mut is_loose = vec![true; change.mesh.num_triangles()];
         for mut chart in std::mem::take(&mut self.charts) {
-            let triangles = chart.piece.chart.triangles.iter();
-            let after: Option<Vec<Successor>> = triangles.map(|t| successors[t.index()]).collect();
+            let after_of = |member: &Member| Some(successors[member.triangle.index()]?.from(*member));
+            let after: Option<Vec<Successor>> = chart.members.iter().map(after_of).collect();
             let stays = after.filter(|after| {
                 self.has_density && self.may_stay(&mut chart, after, change, &is_beside_change)
             });
@@ -128,15 +150,20 @@ impl StreamInit {
                     for successor in &after {
                         is_loose[successor.member.triangle.index()] = false;
                     }
-                    change.adopt(&chart, &after);
+                    change.adopt(&mut chart, &after);
                     self.charts.push(chart);
                 }
                 None => {
                     update.gone_charts.push(chart.id);
                     self.take_off(&chart);
+                    let after = (0_u32..).zip(chart.members.iter().map(after_of));
+                    let staying =
+                        after.filter_map(|(number, after)| Some((number, after?.as_it_was()?)));
+                    change.orphans.take(staying, chart.table);
                 }
             }
         }
+        change.orphans.settle();
         let triangles = change.mesh.triangle_ids();
         change.loose = triangles.filter(|t| is_loose[t.index()]).collect();
     }
@@ -195,7 +222,7 @@ impl StreamInit {
         self.charts.clear();
         self.texture.pages.clear();
         self.placer = None;
-        change.members.clear();
+        change.has_new_order = true;
         change.dirt.clear();
         change.loose = change.mesh.triangle_ids().collect();
     }
@@ -219,12 +246,17 @@ impl StreamInit {
         Ok(charts)
     }
 
-    /// Builds mesh and layout from the charts, in their order.
+    /// Builds mesh and layout from the charts, in their order, where one of them is another than
+    /// before.
     pub(super) fn lay_out(&mut self, change: &mut SurfaceChange) {
+        let is_relaid = |dirt: &Dirt| dirt.is_fresh || dirt.is_relaid || dirt.is_renumbered;
+        if !change.has_new_order && !change.dirt.iter().any(is_relaid) {
+            return;
+        }
         let mut triangles = Vec::with_capacity(change.mesh.num_triangles());
-        for (chart, members) in self.charts.iter_mut().zip(&change.members) {
-            chart.piece.chart.triangles = triangles_from(triangles.len(), members.len());
-            triangles.extend(members.iter().map(|&member| change.corners(member)));
+        for chart in &mut self.charts {
+            chart.piece.chart.triangles = triangles_from(triangles.len(), chart.members.len());
+            triangles.extend(chart.members.iter().map(|&member| change.corners(member)));
         }
         // All are triangles of the mesh given: nothing is refused or left out.
         self.mesh = TriMesh::from_soup(change.mesh.positions_m().to_vec(), triangles)
@@ -232,16 +264,34 @@ impl StreamInit {
             .unwrap_or_default();
         self.runs = MeshRuns::new(&self.mesh);
         for (chart, dirt) in self.charts.iter_mut().zip(&mut change.dirt) {
+            if dirt.is_fresh {
+                let triangles = chart.members.iter().map(|member| member.triangle);
+                (chart.table, dirt.unscored) = change.orphans.adopted(triangles);
+            } else if dirt.is_moved() {
+                dirt.unscored.clone_from(&dirt.moved);
+                let moved = &dirt.moved;
+                chart.table.retain(|number| !moved[number as usize]);
+            }
             if dirt.is_fresh || dirt.is_moved() {
                 let triangles = chart.piece.chart.triangles.iter().copied();
                 chart.bounds = BoundingBox::of(&self.mesh, triangles);
-                chart.table = CandidateTable::new(chart.len(), 0);
                 dirt.has_new_scores = true;
             }
         }
+        change.orphans = Orphans::default();
         let num_triangles = self.mesh.num_triangles();
         self.layout = layout_of(&self.charts, self.placer.as_ref(), num_triangles);
     }
+}
+
+/// Where surface is no more.
+fn gone(before: &TriMesh, found: &MeshDiff) -> Vec<[Point3<f64>; 3]> {
+    let moved = found.origins.iter().filter_map(|origin| match origin {
+        Origin::Moved(old) => Some(old.triangle),
+        _ => None,
+    });
+    let gone = found.gone.iter().copied().chain(moved);
+    gone.map(|triangle| before.corners_m(triangle)).collect()
 }
 
 /// Where surface is that was not there.
@@ -276,23 +326,18 @@ impl SurfaceChange {
     }
 
     /// Adds a chart that stays.
-    fn adopt(&mut self, chart: &StreamChart, after: &[Successor]) {
+    fn adopt(&mut self, chart: &mut StreamChart, after: &[Successor]) {
         let mut dirt = Dirt::default();
         if after.iter().any(|successor| successor.is_moved) {
             dirt.moved = after.iter().map(|successor| successor.is_moved).collect();
         }
         debug_assert_eq!(chart.len(), after.len(), "a successor per triangle");
-        self.members.push(after.iter().map(|s| s.member).collect());
+        chart.members = after.iter().map(|successor| successor.member).collect();
         self.dirt.push(dirt);
     }
 
-    /// Adds a new chart of triangles of `mesh`.
-    pub(super) fn add_fresh(&mut self, triangles: &[TriangleId]) {
-        let member = |&triangle: &TriangleId| Member {
-            triangle,
-            first_corner: 0,
-        };
-        self.members.push(triangles.iter().map(member).collect());
+    /// Notes that there is another chart, which is new.
+    pub(super) fn add_fresh(&mut self) {
         self.dirt.push(Dirt {
             is_fresh: true,
             ..Dirt::default()
