@@ -11,7 +11,9 @@ pub mod subdivide;
 pub mod tri_mesh;
 pub mod weld;
 
-pub use diff::{DiffCounts, DiffError, DiffParams, MeshDiff, OldTriangle, Origin, TrackedMesh, diff};
+pub use diff::{
+    DiffCounts, DiffError, DiffParams, MeshDiff, OldTriangle, Origin, TrackedMesh, diff,
+};
 pub use ids::{TriangleId, VertexId};
 pub use manifold::{Manifold, ManifoldReport};
 pub use model::{Material, ModelError, ModelParts, TexturedModel, Wrap};

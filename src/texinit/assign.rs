@@ -27,6 +27,7 @@
 //! about what its JPEG costs.
 
 pub(crate) mod chart_table;
+pub(crate) mod comparison;
 pub mod cues;
 pub mod label;
 pub mod pairwise;

@@ -26,13 +26,14 @@
 //! charts are made anew.
 //!
 //! Memory, [`StreamInit::num_bytes`]: 8 bytes per texel of the pages, 16 per triangle and keyframe that
-//! may paint it, 16 per texel that shows a mean, some 300 per triangle, and 20 kB per keyframe.
+//! may paint it, 16 per texel that shows a mean, some 400 per triangle, and 20 kB per keyframe.
 
 mod budget;
 mod charts;
 mod cover;
 mod inherit;
 mod keyframes;
+mod labels;
 mod placing;
 mod repaint;
 mod scores;
@@ -255,7 +256,7 @@ impl StreamInit {
             observer,
             &mut update,
         );
-        let relabelled = self.label(&change);
+        let relabelled = self.label();
 
         observer.begin(Stage::Transfer, frames.len());
         let mut repainted = self.repaint(
@@ -344,7 +345,7 @@ impl StreamInit {
     /// ([`crate::keyframe::KeyframeId`]), not indices.
     pub fn assignment(&self) -> Assignment {
         let charts = self.charts.iter();
-        let parts = charts.map(|chart| (&*chart.piece.chart.triangles, &chart.assignment));
+        let parts = charts.map(|chart| (&*chart.piece.chart.triangles, chart.labels.assignment()));
         let mut all = chart_table::joined(&self.mesh, parts, self.failed_frames());
         all.report.num_frames = self.frames.num_usable();
         all

@@ -109,7 +109,8 @@ impl TrackedMesh {
             .collect();
         let unmatched = self.mesh.triangle_ids().zip(self.mesh.triangles());
         let unmatched = unmatched.filter(|(triangle, _)| !is_matched[triangle.index()]);
-        let new_corners = |triangle: TriangleId| (triangle, Turned::of(triangles[triangle.index()]));
+        let new_corners =
+            |triangle: TriangleId| (triangle, Turned::of(triangles[triangle.index()]));
         let comparison = Comparison {
             places: &self.places,
             old: unmatched
@@ -212,7 +213,11 @@ impl TrackedMesh {
             }
             *vertex = number_of[before];
         }
-        for place in self.place_of_vertex.iter_mut().filter(|place| **place != NONE) {
+        for place in self
+            .place_of_vertex
+            .iter_mut()
+            .filter(|place| **place != NONE)
+        {
             *place = number_of[*place as usize];
         }
         self.is_named = vec![true; places.len()];

@@ -82,6 +82,14 @@ impl FrameCandidates {
         }
     }
 
+    /// Names the triangles of which another column says something else; some of them twice.
+    pub(crate) fn each_difference(&self, other: &Self, mut each: impl FnMut(u32)) {
+        let [here, there] = [&self.candidates, &other.candidates];
+        each_unequal(here, there, |candidate| candidate.triangle, &mut each);
+        let [here, there] = [&self.valid_colors, &other.valid_colors];
+        each_unequal(here, there, |(triangle, _)| *triangle, &mut each);
+    }
+
     /// What it says of the triangles that have another number, by these. What it says of vertices is
     /// left out.
     pub(crate) fn renumbered(&self, number: impl Fn(u32) -> Option<u32>) -> Self {
@@ -115,6 +123,36 @@ impl FrameCandidates {
         size_of_val(&*self.candidates)
             + size_of_val(&*self.vertex_colors)
             + size_of_val(&*self.valid_colors)
+    }
+}
+
+/// Names what is in one of two lists, or different in them; both ascend by name, each once.
+fn each_unequal<T: PartialEq>(
+    here: &[T],
+    there: &[T],
+    name: impl Fn(&T) -> u32,
+    each: &mut impl FnMut(u32),
+) {
+    let (mut here, mut there) = (here.iter().peekable(), there.iter().peekable());
+    loop {
+        match (here.peek(), there.peek()) {
+            (Some(a), Some(b)) if name(a) == name(b) => {
+                if a != b {
+                    each(name(a));
+                }
+                here.next();
+                there.next();
+            }
+            (Some(a), b) if b.is_none_or(|b| name(a) < name(b)) => {
+                each(name(a));
+                here.next();
+            }
+            (_, Some(b)) => {
+                each(name(b));
+                there.next();
+            }
+            (_, None) => break,
+        }
     }
 }
 

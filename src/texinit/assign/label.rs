@@ -5,19 +5,17 @@ use std::ops::Range;
 use rayon::prelude::*;
 
 use crate::keyframe::FrameQuality;
-use crate::mesh::TriMesh;
+use crate::mesh::{TriMesh, TriangleId};
 
-use super::cues::{Candidate, FrameCandidates, TripleColor};
-use super::pairwise::{self, PairwiseParams, Ranked};
+use super::comparison::{Comparison, TASK_SIZE};
+use super::cues::{Candidate, FrameCandidates};
+use super::pairwise;
 use super::quality::TypicalQuality;
-use super::{AssignParams, AssignReport, Assignment, ColorCue, FailedFrame};
-
-/// How many of the best resolved views the texel density is taken from.
-const NUM_RESOLUTION_VIEWS: usize = 3;
+use super::{AssignParams, AssignReport, Assignment, FailedFrame};
 
 /// Sum of colours, exact and therefore in any order.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-struct ColorSum {
+pub(super) struct ColorSum {
     sum: [u64; 3],
     num_bytes: u64,
 }
@@ -38,7 +36,7 @@ impl ColorSum {
     }
 
     /// Mean in [0, 1].
-    fn mean(&self) -> Option<[f32; 3]> {
+    pub(super) fn mean(&self) -> Option<[f32; 3]> {
         let scale = 1.0 / (self.num_bytes as f64 * 255.0);
         #[expect(clippy::cast_possible_truncation, reason = "rounding to f32 is meant")]
         let mean = self.sum.map(|sum| (sum as f64 * scale) as f32);
@@ -48,15 +46,15 @@ impl ColorSum {
 
 /// A frame's column of the table.
 #[derive(Clone, Debug, PartialEq)]
-struct Column {
-    frame: u32,
-    quality: FrameQuality,
-    scored: FrameCandidates,
+pub(super) struct Column {
+    pub(super) frame: u32,
+    pub(super) quality: FrameQuality,
+    pub(super) scored: FrameCandidates,
 }
 
 impl Column {
     /// The candidates for a range of triangles.
-    fn within(&self, triangles: &Range<usize>) -> &[Candidate] {
+    pub(super) fn within(&self, triangles: &Range<usize>) -> &[Candidate] {
         let candidates = &self.scored.candidates;
         let before = |end: usize| candidates.partition_point(|c| (c.triangle as usize) < end);
         &candidates[before(triangles.start)..before(triangles.end)]
@@ -68,25 +66,15 @@ impl Column {
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct CandidateTable {
     /// By frame, ascending.
-    columns: Vec<Column>,
+    pub(super) columns: Vec<Column>,
     /// Over the frames that see the triangle.
-    triangle_colors: Vec<ColorSum>,
+    pub(super) triangle_colors: Vec<ColorSum>,
     /// Over the frames that are valid for a triangle at the vertex.
-    vertex_colors: Vec<ColorSum>,
+    pub(super) vertex_colors: Vec<ColorSum>,
     /// Over the frames that are valid for the triangle.
-    valid_colors: Vec<ColorSum>,
+    pub(super) valid_colors: Vec<ColorSum>,
     /// By frame, ascending.
     failed: Vec<FailedFrame>,
-}
-
-/// Triangles that one task compares frames for.
-const TASK_SIZE: usize = 4096;
-
-/// What the frames say of a range of triangles.
-struct Comparison {
-    ranked: Ranked,
-    resolutions: Vec<[f32; NUM_RESOLUTION_VIEWS]>,
-    num_views: Vec<u32>,
 }
 
 impl CandidateTable {
@@ -221,117 +209,49 @@ impl CandidateTable {
         typical: TypicalQuality,
     ) -> Assignment {
         let (comparison, adjacency) = rayon::join(
-            || self.compare(mesh, params, typical),
+            || Comparison::of(self, mesh, params, typical),
             || pairwise::adjacent_pairs(mesh.triangles()),
         );
-        let Comparison {
-            ranked,
-            resolutions,
-            num_views,
-        } = comparison;
-        let unary: Vec<Option<u32>> = ranked.best_labels();
-        let label = match &params.pairwise {
-            Some(pairwise) => pairwise::solve(&ranked, &adjacency, pairwise),
-            None => unary.clone(),
-        };
-        let is_partly_hidden = self.partly_hidden(&label);
-        let (num_seams_unary, _) = count_seams(&unary, &adjacency);
-        let (num_seams, num_inner_edges) = count_seams(&label, &adjacency);
+        let label = comparison.solve(&adjacency, params);
+        let area_m2 = |triangle| mesh.area_m2(triangle);
+        self.assignment(&comparison, label, &adjacency, area_m2)
+    }
+
+    /// What is reported of labels that a comparison led to.
+    pub(crate) fn assignment(
+        &self,
+        comparison: &Comparison,
+        label: Vec<Option<u32>>,
+        adjacency: &[[u32; 2]],
+        area_m2: impl Fn(TriangleId) -> f64,
+    ) -> Assignment {
+        let (num_seams_unary, _) = count_seams(&comparison.ranked.best_labels(), adjacency);
+        let (num_seams, num_inner_edges) = count_seams(&label, adjacency);
         let mut used: Vec<u32> = label.iter().copied().flatten().collect();
         used.sort_unstable();
         used.dedup();
         let num_labelled = label.iter().flatten().count();
+        let num_seen = comparison.num_views.iter().filter(|&&n| n > 0).count();
+        let columns = self.columns.iter();
         let report = AssignReport {
             num_frames: self.columns.len(),
             failed_frames: self.failed.clone(),
-            num_candidates: self
-                .columns
-                .iter()
-                .map(|column| column.scored.candidates.len())
-                .sum(),
+            num_candidates: columns.map(|column| column.scored.candidates.len()).sum(),
             num_labelled,
-            num_unlabelled: num_views.iter().filter(|&&n| n > 0).count() - num_labelled,
+            num_unlabelled: num_seen - num_labelled,
             num_frames_used: used.len(),
             num_seams_unary,
             num_seams,
             num_inner_edges,
         };
         Assignment {
-            best_texels_per_m: texels_per_m(mesh, &resolutions, &num_views),
+            best_texels_per_m: comparison.texels_per_m(area_m2),
             mean_srgb: self.triangle_colors.iter().map(mean_byte).collect(),
+            num_views: comparison.num_views.clone(),
+            is_partly_hidden: self.partly_hidden(&label),
             label,
-            num_views,
-            is_partly_hidden,
             report,
         }
-    }
-
-    /// Ranks the frames of every triangle.
-    fn compare(
-        &self,
-        mesh: &TriMesh,
-        params: &AssignParams,
-        typical: TypicalQuality,
-    ) -> Comparison {
-        let reference = self.reference_colors(mesh, params.color_cue);
-        let columns = self.columns.iter();
-        let frame_scores: Vec<f32> = columns
-            .map(|column| typical.score(&column.quality, params))
-            .collect();
-        let num_ranked = params
-            .pairwise
-            .as_ref()
-            .map_or(1, PairwiseParams::num_ranked);
-        let parts: Vec<Comparison> = self
-            .tasks()
-            .into_par_iter()
-            .map(|triangles| {
-                let num_triangles = triangles.len();
-                let mut part = Comparison {
-                    ranked: Ranked::new(num_triangles, num_ranked),
-                    resolutions: vec![[0.0; NUM_RESOLUTION_VIEWS]; num_triangles],
-                    num_views: vec![0; num_triangles],
-                };
-                for (column, frame_score) in self.columns.iter().zip(&frame_scores) {
-                    for candidate in column.within(&triangles) {
-                        let triangle = candidate.triangle as usize;
-                        let row = triangle - triangles.start;
-                        part.num_views[row] += 1;
-                        keep_largest(&mut part.resolutions[row], candidate.area_px2);
-                        let difference = color_difference(
-                            candidate.colors,
-                            reference[triangle],
-                            params.color_cue,
-                        );
-                        let score =
-                            candidate.score + frame_score + params.color_weight * difference;
-                        if score > params.empty_score {
-                            part.ranked.offer(row, column.frame, score);
-                        }
-                    }
-                }
-                part
-            })
-            .collect();
-        let mut all = Comparison {
-            ranked: Ranked::new(0, num_ranked),
-            resolutions: vec![],
-            num_views: vec![],
-        };
-        for part in parts {
-            all.ranked.append(part.ranked);
-            all.resolutions.extend(part.resolutions);
-            all.num_views.extend(part.num_views);
-        }
-        all
-    }
-
-    fn tasks(&self) -> Vec<Range<usize>> {
-        let num_triangles = self.triangle_colors.len();
-        (0..num_triangles)
-            .step_by(TASK_SIZE)
-            .map(|start| start..(start + TASK_SIZE).min(num_triangles))
-            .collect()
     }
 
     fn partly_hidden(&self, label: &[Option<u32>]) -> Vec<bool> {
@@ -347,31 +267,6 @@ impl CandidateTable {
             .enumerate()
             .map(|(triangle, frame)| frame.is_some_and(|frame| is_hidden_in(triangle, frame)))
             .collect()
-    }
-
-    /// Per triangle: the colour that C3 compares with.
-    fn reference_colors(&self, mesh: &TriMesh, cue: ColorCue) -> Vec<Option<[f32; 3]>> {
-        let num_triangles = self.triangle_colors.len();
-        match cue {
-            ColorCue::SeeingFrames => self.triangle_colors.iter().map(ColorSum::mean).collect(),
-            ColorCue::ValidForTriangle => (0..num_triangles)
-                .map(|triangle| self.valid_colors.get(triangle).and_then(ColorSum::mean))
-                .collect(),
-            ColorCue::ValidAtVertex => mesh
-                .triangles()
-                .iter()
-                .map(|corners| {
-                    let mut mean = [0.0f32; 3];
-                    for &vertex in corners {
-                        let color = self.vertex_colors[vertex as usize].mean()?;
-                        for (mean, value) in mean.iter_mut().zip(color) {
-                            *mean += value / 3.0;
-                        }
-                    }
-                    Some(mean)
-                })
-                .collect(),
-        }
     }
 }
 
@@ -394,20 +289,6 @@ fn sum_valid_colors(
     }
 }
 
-/// C3.
-fn color_difference(colors: TripleColor, reference: Option<[f32; 3]>, cue: ColorCue) -> f32 {
-    let Some(reference) = reference else {
-        return 0.0;
-    };
-    let sums = colors.sums();
-    // Sums of three bytes are exact in f32.
-    let [r, g, b]: [f32; 3] = std::array::from_fn(|c| sums[c] as f32 / 765.0 - reference[c]);
-    match cue {
-        ColorCue::SeeingFrames | ColorCue::ValidAtVertex => (r * r + g * g + b * b).sqrt(),
-        ColorCue::ValidForTriangle => r.abs() + g.abs() + b.abs(),
-    }
-}
-
 fn mean_byte(sum: &ColorSum) -> [u8; 3] {
     #[expect(
         clippy::cast_possible_truncation,
@@ -417,33 +298,6 @@ fn mean_byte(sum: &ColorSum) -> [u8; 3] {
     sum.mean().map_or([0; 3], |mean| {
         mean.map(|value| (value * 255.0).round() as u8)
     })
-}
-
-/// Keeps the largest values, descending.
-fn keep_largest(largest: &mut [f32; NUM_RESOLUTION_VIEWS], mut value: f32) {
-    for kept in largest {
-        if value > *kept {
-            std::mem::swap(kept, &mut value);
-        }
-    }
-}
-
-fn texels_per_m(
-    mesh: &TriMesh,
-    areas_px2: &[[f32; NUM_RESOLUTION_VIEWS]],
-    num_views: &[u32],
-) -> Vec<f32> {
-    mesh.triangle_ids()
-        .zip(areas_px2.iter().zip(num_views))
-        .map(|(triangle, (areas_px2, &num_views))| {
-            let rank = (num_views as usize).clamp(1, NUM_RESOLUTION_VIEWS) - 1;
-            let density = (f64::from(areas_px2[rank]) / mesh.area_m2(triangle)).sqrt();
-            #[expect(clippy::cast_possible_truncation, reason = "rounding to f32 is meant")]
-            let density = density as f32;
-            // A triangle without area has no resolution.
-            if density.is_finite() { density } else { 0.0 }
-        })
-        .collect()
 }
 
 /// Pairs of adjacent triangles with different labels, and pairs that are both labelled.

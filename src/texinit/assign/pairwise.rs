@@ -44,8 +44,15 @@ struct Choice {
     score: f32,
 }
 
+impl Choice {
+    const NONE: Self = Self {
+        frame: u32::MAX,
+        score: f32::NEG_INFINITY,
+    };
+}
+
 /// The best few candidates of each triangle.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Ranked {
     width: usize,
     /// `width` slots a triangle, best first.
@@ -56,13 +63,9 @@ pub(crate) struct Ranked {
 impl Ranked {
     pub(crate) fn new(num_triangles: usize, width: usize) -> Self {
         let width = width.clamp(1, 16);
-        let none = Choice {
-            frame: u32::MAX,
-            score: f32::NEG_INFINITY,
-        };
         Self {
             width,
-            choices: vec![none; num_triangles * width],
+            choices: vec![Choice::NONE; num_triangles * width],
             num_choices: vec![0; num_triangles],
         }
     }
@@ -83,6 +86,13 @@ impl Ranked {
         if usize::from(*num) < self.width {
             *num += 1;
         }
+    }
+
+    /// Forgets what a triangle was offered.
+    pub(crate) fn clear(&mut self, triangle: usize) {
+        let start = triangle * self.width;
+        self.choices[start..start + self.width].fill(Choice::NONE);
+        self.num_choices[triangle] = 0;
     }
 
     /// Adds the triangles of another ranking of the same width after its own.

@@ -42,7 +42,7 @@ impl StreamInit {
         let in_view = charts.filter(|chart| frustum.may_see(&chart.bounds));
         let num_unpainted = |labels: &[Option<u32>]| labels.iter().filter(|l| l.is_none()).count();
         in_view
-            .map(|chart| num_unpainted(&chart.assignment.label))
+            .map(|chart| num_unpainted(&chart.labels.assignment().label))
             .sum()
     }
 }

@@ -2,11 +2,10 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use super::labels::KeptLabels;
 use crate::atlas::{AtlasLayout, ChartId, ChartPlacer, PlacedPiece};
 use crate::mesh::TriangleId;
 use crate::render::BoundingBox;
-use crate::texinit::assign::Assignment;
-use crate::texinit::assign::label::CandidateTable;
 use crate::texinit::fill::Coverage;
 use crate::texinit::transfer::TexelSum;
 
@@ -33,9 +32,7 @@ pub(super) struct StreamChart {
     pub(super) bounds: BoundingBox,
     /// How far a vertex may have moved since the chart was flattened, metres.
     pub(super) drift_m: f64,
-    /// Columns by the numbers of keyframes.
-    pub(super) table: CandidateTable,
-    pub(super) assignment: Assignment,
+    pub(super) labels: KeptLabels,
     /// Sums over the keyframes of triangles that show a mean.
     pub(super) means: BTreeMap<u32, Vec<TexelSum>>,
     /// How many texels of each triangle are painted.
@@ -54,15 +51,7 @@ impl StreamChart {
             id,
             bounds: BoundingBox::around([]),
             drift_m: 0.0,
-            table: CandidateTable::new(num_triangles, 0),
-            assignment: Assignment {
-                label: vec![None; num_triangles],
-                best_texels_per_m: vec![0.0; num_triangles],
-                mean_srgb: vec![[0; 3]; num_triangles],
-                num_views: vec![0; num_triangles],
-                is_partly_hidden: vec![false; num_triangles],
-                ..Assignment::default()
-            },
+            labels: KeptLabels::new(num_triangles),
             members: members.collect(),
             means: BTreeMap::new(),
             coverage: vec![Coverage::default(); num_triangles],
@@ -81,9 +70,9 @@ impl StreamChart {
 
     pub(super) fn num_bytes(&self) -> usize {
         let sums = self.means.values().map(|sums| size_of_val(&**sums));
-        // Per triangle: three sums of colours, corners, label and the like.
-        const PER_TRIANGLE: usize = 300;
-        self.table.num_bytes() + sums.sum::<usize>() + PER_TRIANGLE * self.len()
+        // Per triangle: three sums of colours, the best frames, corners, label and the like.
+        const PER_TRIANGLE: usize = 400;
+        self.labels.num_bytes() + sums.sum::<usize>() + PER_TRIANGLE * self.len()
     }
 }
 
@@ -100,8 +89,6 @@ pub(super) struct Dirt {
     pub(super) moved: Vec<bool>,
     /// Per triangle, whether keyframes that stayed say nothing of it yet; empty where they all do.
     pub(super) unscored: Vec<bool>,
-    /// It has other scores.
-    pub(super) has_new_scores: bool,
     /// Keyframes that may see other parts of it than they did, or are gone.
     pub(super) resighted: BTreeSet<u32>,
     /// Keyframes that came and may see it.

@@ -144,7 +144,7 @@ impl StreamInit {
             return;
         };
         for (chart, dirt) in self.charts.iter_mut().zip(&mut change.dirt) {
-            dirt.has_new_scores |= chart.table.remove(number);
+            chart.labels.remove(number);
             if frustum.may_see(&chart.bounds) {
                 dirt.resighted.insert(number);
             }

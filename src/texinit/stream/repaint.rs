@@ -131,7 +131,7 @@ impl StreamInit {
         let is_partly_hidden: Vec<bool> = self
             .charts
             .iter()
-            .flat_map(|chart| chart.assignment.is_partly_hidden.iter().copied())
+            .flat_map(|chart| chart.labels.assignment().is_partly_hidden.iter().copied())
             .collect();
         let (mesh, layout) = (&self.mesh, &self.layout);
         let job = PaintJob {
@@ -278,7 +278,7 @@ impl Plan {
         for number in 0..chart.len() {
             #[expect(clippy::cast_possible_truncation, reason = "numbers in a mesh")]
             let (triangle, number_u32) = (TriangleId((first + number) as u32), number as u32);
-            let now = of_triangle(&chart.assignment, number);
+            let now = of_triangle(chart.labels.assignment(), number);
             let is_new = is_elsewhere
                 || dirt.is_triangle_moved(number)
                 || before.is_some_and(|before| of_triangle(before, number) != now);

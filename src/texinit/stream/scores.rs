@@ -16,7 +16,7 @@ use crate::geom::PinholeCamera;
 use crate::keyframe::Keyframe;
 use crate::render::{BoundingBox, DepthBound, Frustum, MeshPart, WindowFinder};
 use crate::texinit::assign::Assignment;
-use crate::texinit::assign::chart_table::{ChartPlaces, chart_mesh};
+use crate::texinit::assign::chart_table::ChartPlaces;
 use crate::texinit::assign::cues::{FrameCandidates, FrameWorkspace, PartSight, score_part};
 use crate::texinit::{Decode, Observer};
 
@@ -136,18 +136,9 @@ impl StreamInit {
             let (chart, dirt) = (&mut self.charts[index], &mut change.dirt[index]);
             #[expect(clippy::cast_possible_truncation, reason = "fewer than triangles")]
             let newer = sighting.parts.remove(&(index as u32));
-            let part = match chart.table.column(number) {
-                Some(before) => Some(before.renewed(&triangles, newer.unwrap_or_default())),
-                None => newer,
-            };
-            let part = part.filter(|part| !part.is_empty());
-            if chart.table.column(number) != part.as_ref() {
-                dirt.has_new_scores = true;
-                match part {
-                    Some(part) => chart.table.add(number, keyframe.quality, part),
-                    None => _ = chart.table.remove(number),
-                }
-            }
+            let newer = newer.unwrap_or_default();
+            let labels = &mut chart.labels;
+            labels.renew(number, keyframe.quality, &triangles, newer);
             if turnover.added.contains(&number) {
                 dirt.added.insert(number);
             } else if is_resighted {
@@ -167,23 +158,21 @@ impl StreamInit {
         }
     }
 
-    /// Labels every chart with other scores; returns, per chart, what it was assigned before where
-    /// that was done.
-    pub(super) fn label(&mut self, change: &SurfaceChange) -> Vec<Option<Assignment>> {
+    /// Labels every chart with other scores; returns, per chart, what it was assigned before where that
+    /// is another.
+    pub(super) fn label(&mut self) -> Vec<Option<Assignment>> {
         let typical = self.frames.typical_quality();
         let is_shifted = typical != self.typical;
         self.typical = typical;
         let (mesh, params) = (&self.mesh, &self.params.assign);
         self.charts
             .par_iter_mut()
-            .zip(&change.dirt)
-            .map(|(chart, dirt)| {
-                if !dirt.has_new_scores && !is_shifted {
-                    return None;
+            .map(|chart| {
+                let first = *chart.piece.chart.triangles.first()?;
+                if is_shifted {
+                    chart.labels.forget_comparison();
                 }
-                let own = chart_mesh(mesh, &chart.piece.chart.triangles);
-                let assignment = chart.table.assign(&own, params, typical);
-                Some(std::mem::replace(&mut chart.assignment, assignment))
+                chart.labels.assign(mesh, first, params, typical)
             })
             .collect()
     }

@@ -8,6 +8,7 @@ use nalgebra::Point3;
 use super::charts::{Dirt, Member, StreamChart, layout_of, triangles_from};
 use super::cover::Cover;
 use super::inherit::Orphans;
+use super::labels::KeptLabels;
 use super::{StreamError, StreamInit, StreamUpdate};
 use crate::atlas::TexelSource;
 use crate::mesh::{MeshDiff, OldTriangle, Origin, TriMesh, TriangleId};
@@ -140,7 +141,8 @@ impl StreamInit {
         }
         let mut is_loose = vec![true; change.mesh.num_triangles()];
         for mut chart in std::mem::take(&mut self.charts) {
-            let after_of = |member: &Member| Some(successors[member.triangle.index()]?.from(*member));
+            let after_of =
+                |member: &Member| Some(successors[member.triangle.index()]?.from(*member));
             let after: Option<Vec<Successor>> = chart.members.iter().map(after_of).collect();
             let stays = after.filter(|after| {
                 self.has_density && self.may_stay(&mut chart, after, change, &is_beside_change)
@@ -159,7 +161,7 @@ impl StreamInit {
                     let after = (0_u32..).zip(chart.members.iter().map(after_of));
                     let staying =
                         after.filter_map(|(number, after)| Some((number, after?.as_it_was()?)));
-                    change.orphans.take(staying, chart.table);
+                    change.orphans.take(staying, chart.labels.into_table());
                 }
             }
         }
@@ -266,16 +268,17 @@ impl StreamInit {
         for (chart, dirt) in self.charts.iter_mut().zip(&mut change.dirt) {
             if dirt.is_fresh {
                 let triangles = chart.members.iter().map(|member| member.triangle);
-                (chart.table, dirt.unscored) = change.orphans.adopted(triangles);
+                let (table, unscored) = change.orphans.adopted(triangles);
+                dirt.unscored = unscored;
+                chart.labels = KeptLabels::of(table, chart.len());
             } else if dirt.is_moved() {
                 dirt.unscored.clone_from(&dirt.moved);
                 let moved = &dirt.moved;
-                chart.table.retain(|number| !moved[number as usize]);
+                chart.labels.retain(|number| !moved[number as usize]);
             }
             if dirt.is_fresh || dirt.is_moved() {
                 let triangles = chart.piece.chart.triangles.iter().copied();
                 chart.bounds = BoundingBox::of(&self.mesh, triangles);
-                dirt.has_new_scores = true;
             }
         }
         change.orphans = Orphans::default();
