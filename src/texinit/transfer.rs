@@ -147,7 +147,11 @@ pub(crate) fn transfer_poses(
         }],
         known: None,
     };
-    let (_, report) = painter.paint_all(job, frames, decode, progress, &mut pages);
+    let (means, mut report) = painter.paint_all(job, frames, decode, progress, &mut pages);
+    for MeanJob { texels, .. } in &means {
+        let written = texels.write(layout, params.mean_form, &mut pages, |_| true);
+        (report.num_mean, report.num_unseen) = written;
+    }
     Ok((AtlasTexture { pages }, report))
 }
 

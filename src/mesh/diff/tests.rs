@@ -3,7 +3,8 @@
     reason = "the numbers of a test are small"
 )]
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
 
 use proptest::prelude::*;
 
@@ -302,6 +303,124 @@ proptest! {
     }
 }
 
+/// Places of named vertices that are touched, in steps of the grid.
+fn touched(mesh: &TriMesh, diff: &MeshDiff) -> Vec<GridPoint> {
+    let corners = mesh.triangles().as_flattened().iter();
+    let touched = corners.filter(|&&vertex| diff.is_touched[vertex as usize]);
+    let mut points: Vec<GridPoint> = touched
+        .map(|&vertex| {
+            let position_m = &mesh.positions_m()[vertex as usize];
+            grid_point(position_m, DiffParams::default().quantum_m).unwrap()
+        })
+        .collect();
+    points.sort_unstable();
+    points.dedup();
+    points
+}
+
+/// Follows a mesh one step, and holds what is found against the comparison of the two alone.
+fn check_step(tracked: &mut TrackedMesh, before: &TriMesh, now: &TriMesh) {
+    let params = DiffParams::default();
+    let old = Arc::clone(tracked.mesh());
+    let found = tracked.follow(&Arc::new(now.clone())).unwrap().unwrap();
+    let mesh = tracked.mesh();
+    check(&old, mesh, &found, &params);
+    let alone = diff(before, now, &params).unwrap();
+    assert_eq!(classes(mesh, &found), classes(now, &alone));
+    assert_eq!(touched(mesh, &found), touched(now, &alone));
+    // The same mesh on the grid, its triangles in the same order; no two vertices at one place.
+    let on_grid = on_grid(now, params.quantum_m).unwrap();
+    let corners_of = |mesh: &TriMesh| mesh.triangle_ids().map(|t| mesh.corners_m(t)).collect();
+    let [ours, theirs]: [Vec<_>; 2] = [corners_of(mesh), corners_of(&on_grid)];
+    assert_eq!(ours, theirs);
+    let named = |mesh: &TriMesh| {
+        let vertices: BTreeSet<u32> = mesh.triangles().as_flattened().iter().copied().collect();
+        vertices.len()
+    };
+    assert_eq!(named(mesh), named(&on_grid));
+    assert!(mesh.num_vertices() <= 2 * named(mesh) + old.num_vertices());
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(256))]
+    #[test]
+    fn what_is_followed_differs_as_the_two_meshes_do(
+        (first, second) in soups(),
+        (third, fourth) in soups(),
+        seed in any::<u64>(),
+    ) {
+        let mut tracked = TrackedMesh::new(&DiffParams::default()).unwrap();
+        let grown = joined(&second, &third);
+        let steps = [
+            &first, &second, &shuffled(&second, seed), &grown, &shuffled(&grown, !seed), &fourth,
+            &joined(&third, &second), &TriMesh::default(), &first, &first,
+        ];
+        let mut before = &TriMesh::default();
+        for now in steps {
+            check_step(&mut tracked, before, now);
+            before = now;
+        }
+    }
+}
+
+#[test]
+fn a_point_keeps_its_number_while_it_is_named_and_frees_it_for_others() {
+    let mut tracked = TrackedMesh::new(&DiffParams::default()).unwrap();
+    let (near, far) = (sheet(8, [0.0; 3]), sheet(8, [9.0, 0.0, 0.0]));
+    let mut follow = |mesh: &TriMesh| {
+        let found = tracked.follow(&Arc::new(mesh.clone())).unwrap();
+        let corners = tracked.mesh().triangles().to_vec();
+        (
+            found.unwrap().counts(),
+            corners,
+            tracked.mesh().num_vertices(),
+        )
+    };
+    let (_, both, num_vertices) = follow(&joined(&near, &far));
+    assert_eq!(num_vertices, 162);
+    // Half of them go: the numbers of the others stay.
+    let (counts, left, num_vertices) = follow(&far);
+    assert_eq!((counts.num_kept, counts.num_gone), (128, 128));
+    assert_eq!((left.as_slice(), num_vertices), (&both[128..], 162));
+    // Others come: they get the numbers that are free.
+    let (counts, _, num_vertices) = follow(&joined(&sheet(8, [0.0, 9.0, 0.0]), &far));
+    assert_eq!((counts.num_new, num_vertices), (128, 162));
+    // Where most are free all are numbered anew.
+    let (_, corners, num_vertices) = follow(&sheet(2, [9.0, 0.0, 0.0]));
+    assert_eq!((corners[0], num_vertices), ([0, 1, 2], 9));
+}
+
+#[test]
+fn what_is_off_the_grid_is_refused_and_leaves_the_mesh_as_it_was() {
+    let mut tracked = TrackedMesh::new(&DiffParams::default()).unwrap();
+    let given = Arc::new(sheet(3, [0.0; 3]));
+    tracked.follow(&given).unwrap();
+    let before = Arc::clone(tracked.mesh());
+    let far = mesh(
+        &[[0.0; 3], [1e13, 0.0, 0.0], [0.0, 1.0, 0.0]],
+        &[[0, 1, 2], [1, 2, 0]],
+    );
+    for refused in [&far, &joined(&given, &far)] {
+        let refused = tracked.follow(&Arc::new(refused.clone()));
+        assert!(matches!(refused, Err(DiffError::OffGrid { .. })));
+        assert_eq!(*tracked.mesh(), before);
+    }
+    check_step(&mut tracked, &given, &sheet(4, [0.0; 3]));
+    assert_eq!(
+        tracked.follow(&given).unwrap().unwrap().counts().num_gone,
+        14
+    );
+    assert!(tracked.follow(&given).unwrap().is_none());
+    let none = DiffParams {
+        quantum_m: 0.0,
+        ..DiffParams::default()
+    };
+    assert!(matches!(
+        TrackedMesh::new(&none),
+        Err(DiffError::Params { .. })
+    ));
+}
+
 /// `cargo test --release --lib mesh::diff -- --ignored --nocapture`.
 #[test]
 #[ignore = "a measurement"]
@@ -316,4 +435,13 @@ fn two_million_triangles() {
         found.counts(),
         start.elapsed().as_secs_f64()
     );
+    let mut tracked = TrackedMesh::new(&DiffParams::default()).unwrap();
+    tracked.follow(&Arc::new(old)).unwrap();
+    for (order, new) in [("in order", new.clone()), ("shuffled", shuffled(&new, 5))] {
+        let new = Arc::new(new);
+        let start = std::time::Instant::now();
+        let found = tracked.follow(&new).unwrap().unwrap();
+        let seconds = start.elapsed().as_secs_f64();
+        println!("followed, {order}: {:?} in {seconds:.3} s", found.counts());
+    }
 }

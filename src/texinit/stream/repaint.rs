@@ -39,8 +39,6 @@ struct Plan {
     grown: Vec<(TriangleId, Vec<TexelSum>)>,
     /// Triangles none of whose texels stay.
     wiped: Vec<TriangleId>,
-    /// Triangles whose texels of a keyframe stay.
-    thinned: Vec<TriangleId>,
 }
 
 impl StreamInit {
@@ -69,34 +67,33 @@ impl StreamInit {
             };
             plan.add_chart(chart, &sight, before.as_ref(), turnover, is_assigned);
         }
-        let touched = plan.touched();
+        let mut touched = plan.wiped.clone();
+        self.wipe(&plan.wiped, &|_| true);
+        touched.extend(self.paint(plan, frames, turnover, decode, observer));
         update.num_triangles_painted = touched.len();
-        self.wipe(&plan);
-        self.paint(plan, frames, turnover, decode, observer);
         self.repainted(&touched)
     }
 
-    /// Resets texels to as if nobody had painted them.
-    fn wipe(&mut self, plan: &Plan) {
+    /// Resets texels of some triangles, of some sources, to as if nobody had painted them.
+    fn wipe(&mut self, triangles: &[TriangleId], is_wiped: &dyn Fn(TexelSource) -> bool) {
         let blank = |page: &mut TexturePage, index: usize| {
             page.srgb[index] = [0; 3];
             page.source[index] = TexelSource::NONE;
             page.confidence[index] = 0;
         };
-        for (triangles, keeps_assigned) in [(&plan.wiped, false), (&plan.thinned, true)] {
-            for &triangle in triangles {
-                let page = &mut self.texture.pages[self.layout.page_of(triangle) as usize];
-                let corners = &self.layout.corners_texel[triangle.index()];
-                for_each_texel_within(corners, self.layout.page_size_texel, |x, y, _| {
-                    let index = (y * page.width + x) as usize;
-                    if !(keeps_assigned && page.source[index].as_keyframe().is_some()) {
-                        blank(page, index);
-                    }
-                });
-            }
+        for &triangle in triangles {
+            let page = &mut self.texture.pages[self.layout.page_of(triangle) as usize];
+            let corners = &self.layout.corners_texel[triangle.index()];
+            for_each_texel_within(corners, self.layout.page_size_texel, |x, y, _| {
+                let index = (y * page.width + x) as usize;
+                if is_wiped(page.source[index]) {
+                    blank(page, index);
+                }
+            });
         }
     }
 
+    /// Paints; returns the triangles of [`Plan::grown`] to whose sums a keyframe added.
     fn paint(
         &mut self,
         plan: Plan,
@@ -104,7 +101,7 @@ impl StreamInit {
         turnover: &Turnover,
         decode: &Decode<'_>,
         observer: &dyn Observer,
-    ) {
+    ) -> Vec<TriangleId> {
         let known = |frame: &Arc<Keyframe>| self.frames.get(frame.id.0);
         let is_usable: Vec<bool> = frames
             .iter()
@@ -160,12 +157,21 @@ impl StreamInit {
         let advance = |num_steps: usize| observer.advance(num_steps);
         let pages = &mut self.texture.pages;
         let (means, _) = painter.paint_all(job, &poses, &decode_at, &advance, pages);
+        let [anew, grown] = [0, 1].map(|index: usize| &means[index].texels);
+        let has_grown: Vec<TriangleId> = grown.grown().collect();
+        // Until now these showed the means before.
+        self.wipe(&has_grown, &|source| source.as_keyframe().is_none());
+        let form = self.params.transfer.mean_form;
+        let pages = &mut self.texture.pages;
+        anew.write(&self.layout, form, pages, |_| true);
+        grown.write(&self.layout, form, pages, |has_grown| has_grown);
         for (triangle, sums) in means.into_iter().flat_map(|means| means.texels.into_sums()) {
             let chart = &mut self.charts[self.layout.chart_of_triangle[triangle.index()].index()];
             let number = triangle.index() - chart.first_triangle();
             #[expect(clippy::cast_possible_truncation, reason = "a number in a mesh")]
             chart.means.insert(number as u32, sums);
         }
+        has_grown
     }
 
     /// Counts the texels of what was painted anew, and marks charts and vertices.
@@ -306,15 +312,9 @@ impl Plan {
             if dirt.added.is_empty() {
                 chart.means.insert(number_u32, sums);
             } else {
-                self.thinned.push(triangle);
                 self.grown.push((triangle, sums));
             }
         }
-    }
-
-    /// All triangles that are painted, each once.
-    fn touched(&self) -> Vec<TriangleId> {
-        self.wiped.iter().chain(&self.thinned).copied().collect()
     }
 }
 

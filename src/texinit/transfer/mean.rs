@@ -69,13 +69,16 @@ impl TexelSum {
     }
 }
 
-/// Triangles, the box around them, their first sums and the sums.
-type MeanTask<'a> = (
-    &'a [TriangleId],
-    &'a BoundingBox,
-    &'a [usize],
-    &'a mut [TexelSum],
-);
+/// Some triangles.
+struct MeanTask<'a> {
+    triangles: &'a [TriangleId],
+    /// The box around them.
+    bounds: &'a BoundingBox,
+    /// First sum of each, and one behind the last.
+    firsts: &'a [usize],
+    sums: &'a mut [TexelSum],
+    has_grown: &'a mut [bool],
+}
 
 /// The sums of all texels of some triangles.
 pub(crate) struct MeanTexels {
@@ -85,6 +88,8 @@ pub(crate) struct MeanTexels {
     /// Per triangle: its first sum; and the number of sums.
     first: Vec<usize>,
     sums: Vec<TexelSum>,
+    /// Per triangle: whether a frame added to one of its sums.
+    has_grown: Vec<bool>,
 }
 
 impl MeanTexels {
@@ -112,12 +117,14 @@ impl MeanTexels {
             bounds: vec![],
             first: vec![0],
             sums: vec![],
+            has_grown: vec![],
         };
         for (triangle, mut sums) in triangles {
             means.triangles.push(triangle);
             means.sums.append(&mut sums);
             means.first.push(means.sums.len());
         }
+        means.has_grown = vec![false; means.triangles.len()];
         let chunks = means.triangles.chunks(TASK_SIZE);
         means.bounds = chunks
             .map(|chunk| BoundingBox::of(mesh, chunk.iter().copied()))
@@ -137,6 +144,12 @@ impl MeanTexels {
             .into_iter()
             .enumerate()
             .map(move |(index, triangle)| (triangle, sums[first[index]..first[index + 1]].to_vec()))
+    }
+
+    /// The triangles to whose sums a frame added.
+    pub(crate) fn grown(&self) -> impl Iterator<Item = TriangleId> {
+        let triangles = self.triangles.iter().zip(&self.has_grown);
+        triangles.filter_map(|(triangle, has_grown)| has_grown.then_some(*triangle))
     }
 
     pub(super) fn is_empty(&self) -> bool {
@@ -189,35 +202,40 @@ impl MeanTexels {
         let mut tasks = vec![];
         let mut rest = self.sums.as_mut_slice();
         let chunks = self.triangles.chunks(TASK_SIZE).zip(&self.bounds);
-        for (task, (triangles, bounds)) in chunks.enumerate() {
+        let chunks = chunks.zip(self.has_grown.chunks_mut(TASK_SIZE));
+        for (task, ((triangles, bounds), has_grown)) in chunks.enumerate() {
             let start = task * TASK_SIZE;
             let firsts = &self.first[start..=start + triangles.len()];
             let (sums, tail) = rest.split_at_mut(firsts[triangles.len()] - firsts[0]);
             rest = tail;
-            tasks.push((triangles, bounds, firsts, sums));
+            tasks.push(MeanTask {
+                triangles,
+                bounds,
+                firsts,
+                sums,
+                has_grown,
+            });
         }
-        let add_chunk = |(triangles, bounds, firsts, sums): MeanTask<'_>| {
+        tasks.into_par_iter().for_each(|mut task| {
             let looks = looks.iter().zip(&frustums);
-            for (look, _) in looks.filter(|(_, frustum)| frustum.may_see(bounds)) {
-                for (&triangle, range) in triangles.iter().zip(firsts.windows(2)) {
-                    let range = range[0] - firsts[0]..range[1] - firsts[0];
-                    add_triangle(mesh, layout, look, params, triangle, &mut sums[range]);
-                }
+            for (look, _) in looks.filter(|(_, frustum)| frustum.may_see(task.bounds)) {
+                task.add(mesh, layout, look, params);
             }
-        };
-        tasks.into_par_iter().for_each(add_chunk);
+        });
     }
 
-    /// Writes the means to the texels that no frame painted; returns how many got a colour and
-    /// how many did not.
-    pub(super) fn write(
+    /// Writes the means of the triangles that `is_written` picks, by whether a frame added to them, to
+    /// the texels that no frame painted; returns how many got a colour and how many did not.
+    pub(crate) fn write(
         &self,
         layout: &AtlasLayout,
         form: MeanForm,
         pages: &mut [TexturePage],
+        is_written: impl Fn(bool) -> bool,
     ) -> (usize, usize) {
         let (mut num_mean, mut num_unseen) = (0, 0);
-        for (&triangle, &first) in self.triangles.iter().zip(&self.first) {
+        let triangles = self.triangles.iter().zip(&self.first).zip(&self.has_grown);
+        for ((&triangle, &first), _) in triangles.filter(|(_, grown)| is_written(**grown)) {
             let page = &mut pages[layout.page_of(triangle) as usize];
             let width = page.width as usize;
             let mut sums = self.sums[first..].iter();
@@ -239,6 +257,23 @@ impl MeanTexels {
             });
         }
         (num_mean, num_unseen)
+    }
+}
+
+impl MeanTask<'_> {
+    fn add(
+        &mut self,
+        mesh: &TriMesh,
+        layout: &AtlasLayout,
+        look: &FrameLook<'_>,
+        params: &TransferParams,
+    ) {
+        let ranges = self.firsts.windows(2).zip(&mut *self.has_grown);
+        for (&triangle, (range, has_grown)) in self.triangles.iter().zip(ranges) {
+            let range = range[0] - self.firsts[0]..range[1] - self.firsts[0];
+            let sums = &mut self.sums[range];
+            *has_grown |= add_triangle(mesh, layout, look, params, triangle, sums);
+        }
     }
 }
 
@@ -299,6 +334,7 @@ impl CameraSight<'_> {
     }
 }
 
+/// Whether the frame adds to one of the triangle's sums.
 fn add_triangle(
     mesh: &TriMesh,
     layout: &AtlasLayout,
@@ -306,7 +342,7 @@ fn add_triangle(
     params: &TransferParams,
     triangle: TriangleId,
     sums: &mut [TexelSum],
-) {
+) -> bool {
     let camera = &look.frame.color_camera;
     let sight = CameraSight {
         camera,
@@ -315,20 +351,21 @@ fn add_triangle(
         params,
     };
     let Some(corners) = sight.corners(mesh, triangle) else {
-        return;
+        return false;
     };
     let corners_texel = &layout.corners_texel[triangle.index()];
     let Some(sampler) = TriangleSampler::new(corners, corners_texel, camera, params) else {
-        return;
+        return false;
     };
     let visibility = match (params.mean_form, look.visibility) {
         (MeanForm::Projecting, _) => {
             add_projecting(layout, look, &sampler, corners_texel, sums);
-            return;
+            return true;
         }
         (MeanForm::Seeing, Some(visibility)) => visibility,
-        (MeanForm::Seeing, None) => return,
+        (MeanForm::Seeing, None) => return false,
     };
+    let mut has_grown = false;
     let depth = look.frame.depth.as_ref().map(DepthProbe::new);
     let mut sums = sums.iter_mut();
     for_each_texel_within(corners_texel, layout.page_size_texel, |_, _, weights| {
@@ -348,8 +385,10 @@ fn add_triangle(
         if !is_measured_elsewhere && let Some(linear) = texel.linear_color(&look.frame.color) {
             let is_clear = !visibility.is_near_depth_edge(&point);
             sum.add(linear, if is_clear { CLEAR_WEIGHT } else { 1 });
+            has_grown = true;
         }
     });
+    has_grown
 }
 
 /// Adds every texel that lies in the image, as it is.

@@ -113,7 +113,8 @@ pub(crate) struct Painter<'a> {
 
 impl Painter<'_> {
     /// Paints what the job says and nothing else: texels of its triangles that nobody sees stay as
-    /// they are. Returns the means with what the frames added to them.
+    /// they are. Returns the means with what the frames added to them; they are written by
+    /// [`MeanTexels::write`].
     pub(crate) fn paint_all(
         &self,
         mut job: PaintJob<'_>,
@@ -154,11 +155,6 @@ impl Painter<'_> {
                 let looks: Vec<&FrameLook<'_>> = looks.collect();
                 texels.accumulate(self.mesh, self.layout, &looks, self.params);
             }
-        }
-        for MeanJob { texels, .. } in &job.means {
-            let (num_mean, num_unseen) = texels.write(self.layout, self.params.mean_form, pages);
-            report.num_mean += num_mean;
-            report.num_unseen += num_unseen;
         }
         (job.means, report)
     }
