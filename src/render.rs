@@ -4,6 +4,7 @@ pub mod backend;
 pub mod depth_bound;
 #[cfg(feature = "gpu")]
 pub mod gpu;
+pub mod kept_view;
 pub mod model;
 pub mod part;
 pub mod raster;
@@ -13,6 +14,7 @@ pub mod window;
 
 pub use backend::{Backend, GpuError, MeshViews, ViewRasterizer};
 pub use depth_bound::DepthBound;
+pub use kept_view::{KeptView, ViewPoint, ViewScratch};
 pub use model::render_model;
 pub use part::{BoundingBox, Frustum, MeshPart, MeshRuns};
 pub use raster::{

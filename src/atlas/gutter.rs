@@ -42,39 +42,59 @@ pub fn dilate_gutters(
 }
 
 /// [`dilate_gutters`] around some charts of the texture's layout.
-pub(crate) fn dilate_gutters_of(
-    charts: &[&PlacedChart],
-    texture: &mut AtlasTexture,
-) -> GutterReport {
+fn dilate_gutters_of(charts: &[&PlacedChart], texture: &mut AtlasTexture) -> GutterReport {
     let mut report = GutterReport::default();
     for batch in charts.chunks(CHARTS_PER_BATCH) {
-        let copies_by_chart: Vec<Option<Vec<Copy>>> = batch
+        let gutters: Vec<Option<Gutter>> = batch
             .par_iter()
-            .map(|chart| {
-                let page = texture.pages.get(chart.page as usize)?;
-                nearest_painted(page, &clipped(chart, page), chart)
-            })
+            .map(|chart| Gutter::of(chart, texture.pages.get(chart.page as usize)?))
             .collect();
-        for (chart, copies) in batch.iter().zip(copies_by_chart) {
-            let Some(copies) = copies else {
+        for (chart, gutter) in batch.iter().zip(gutters) {
+            let Some(gutter) = gutter else {
                 report.num_blank_charts += 1;
                 continue;
             };
-            report.num_gutter_texels += copies.len();
+            report.num_gutter_texels += gutter.copies.len();
             if let Some(page) = texture.pages.get_mut(chart.page as usize) {
-                for Copy { from, to } in copies {
-                    let to = to as usize;
-                    page.srgb[to] = page.srgb[from as usize];
-                    page.source[to] = TexelSource::GUTTER;
-                    page.confidence[to] = 0;
-                }
+                gutter.paint(page);
             }
         }
     }
     report
 }
 
+/// Which texel each one around a chart repeats; as long as the same ones of the chart are painted and it
+/// stays where it is.
+#[derive(Debug)]
+pub(crate) struct Gutter {
+    copies: Vec<Copy>,
+}
+
+impl Gutter {
+    /// Around a chart on its page; `None` where nothing of the chart is painted.
+    pub(crate) fn of(chart: &PlacedChart, page: &TexturePage) -> Option<Self> {
+        let copies = nearest_painted(page, &clipped(chart, page), chart)?;
+        Some(Self { copies })
+    }
+
+    /// Paints it.
+    pub(crate) fn paint(&self, page: &mut TexturePage) {
+        for Copy { from, to } in &self.copies {
+            let to = *to as usize;
+            page.srgb[to] = page.srgb[*from as usize];
+            page.source[to] = TexelSource::GUTTER;
+            page.confidence[to] = 0;
+        }
+    }
+
+    /// Bytes that it takes.
+    pub(crate) fn num_bytes(&self) -> usize {
+        size_of_val(&*self.copies)
+    }
+}
+
 /// Indices of two texels of a page.
+#[derive(Debug)]
 struct Copy {
     from: u32,
     to: u32,

@@ -6,10 +6,11 @@
 //! | encoded images | a share of the budget: the most redundant keyframe goes |
 //! | atlas | a share of the budget: the density of texels is lowered |
 //! | mesh, score tables | as large as mesh and frames make them; reserved |
-//! | decoded images | what the others leave |
+//! | depths that keyframes see | a third of what the others leave, while painting follows changes |
+//! | decoded images | the rest |
 //!
 //! The shares of images and atlas depend on the settings alone, so that what is painted depends
-//! on the events and the settings alone; decoded images, whose number changes nothing, give way.
+//! on the events and the settings alone; depths and decoded images, whose number changes nothing, give way.
 
 use super::run::PipelineParams;
 
@@ -33,6 +34,8 @@ pub struct MemoryPlan {
     pub atlas: u64,
     /// Mesh, charts and score tables.
     pub tables: u64,
+    /// Depths that keyframes see, kept from update to update.
+    pub kept_views: u64,
     /// Decoded images kept for reuse.
     pub decode_cache: u64,
 }
@@ -40,7 +43,8 @@ pub struct MemoryPlan {
 impl MemoryPlan {
     /// All parts together.
     pub fn total(&self) -> u64 {
-        self.process + self.keyframes + self.atlas + self.tables + self.decode_cache
+        let fixed = self.process + self.keyframes + self.atlas + self.tables;
+        fixed + self.kept_views + self.decode_cache
     }
 }
 
@@ -99,13 +103,18 @@ impl MemoryParams {
             keyframes: num_keyframe_bytes as u64,
             atlas,
             tables: num_triangles as u64 * TRIANGLE_BYTES + bytes(pairs * SCORED_PAIR_BYTES),
+            kept_views: 0,
             decode_cache: 0,
         };
-        let wanted = bytes(params.keyframe.decode_cache_mb * 1e6);
-        plan.decode_cache = match plan.budget {
-            0 => wanted,
-            budget => wanted.min(budget.saturating_sub(plan.total())),
+        let left = match plan.budget {
+            0 => u64::MAX,
+            budget => budget.saturating_sub(plan.total()),
         };
+        if params.follows_changes {
+            plan.kept_views = bytes(params.stream.view_cache_mb * 1e6).min(left / 3);
+        }
+        let wanted = bytes(params.keyframe.decode_cache_mb * 1e6);
+        plan.decode_cache = wanted.min(left - plan.kept_views);
         plan
     }
 }
@@ -139,8 +148,14 @@ mod tests {
 
     #[test]
     fn the_parts_keep_to_the_budget_while_mesh_and_images_leave_room() {
-        let params = PipelineParams::default();
-        for budget_mb in [200.0, 512.0, 1000.0, 4000.0] {
+        for (budget_mb, follows_changes) in [200.0, 512.0, 1000.0, 4000.0]
+            .into_iter()
+            .flat_map(|budget_mb| [(budget_mb, false), (budget_mb, true)])
+        {
+            let params = PipelineParams {
+                follows_changes,
+                ..PipelineParams::default()
+            };
             let memory = MemoryParams { budget_mb };
             let applied = memory.applied_to(&params);
             assert!(applied.keyframe.budget_mb <= budget_mb / 4.0);
@@ -149,8 +164,12 @@ mod tests {
                 [(0, 0, 0), (most / 2, 50, 50_000), (most, 100, 20_000)]
             {
                 let plan = memory.plan(&params, num_bytes, num_keyframes, num_triangles);
-                let fixed = plan.total() - plan.decode_cache;
+                let fixed = plan.total() - plan.decode_cache - plan.kept_views;
                 assert!(plan.total() <= plan.budget.max(fixed), "{plan:?}");
+                assert_eq!(
+                    plan.kept_views > 0,
+                    follows_changes && fixed + 3 <= plan.budget
+                );
                 assert!(plan.decode_cache <= 700_000_000);
                 if fixed < plan.budget && plan.decode_cache < 700_000_000 {
                     assert_eq!(plan.total(), plan.budget, "all of it is used");

@@ -14,7 +14,7 @@ mod stream_gains;
 use std::sync::Arc;
 
 use super::clock::StageClock;
-use super::live::{Capture, LiveScan};
+use super::live::{Capture, LiveScan, memory_plan};
 use super::progress::Progress;
 use super::refine::{self, RefineParams};
 use super::run::{PipelineError, PipelineParams, StageTime};
@@ -127,6 +127,15 @@ impl StreamPainter {
         let clock = StageClock::new(progress);
         clock.begin("weld the mesh", 0);
         let mut kept = self.kept_for(params)?;
+        let following = PipelineParams {
+            follows_changes: true,
+            ..params.clone()
+        };
+        let memory = memory_plan(&capture, &following);
+        let usable = |num_bytes: u64| usize::try_from(num_bytes).unwrap_or(usize::MAX);
+        self.store
+            .set_decode_cache_bytes(usable(memory.decode_cache));
+        kept.state.set_view_bytes(usable(memory.kept_views));
         let mesh = kept.prepared_mesh(&capture, params)?;
         let recorded = |keyframe: &Keyframe| self.store.decode(keyframe);
         if params.refine.has_gain {

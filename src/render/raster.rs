@@ -233,6 +233,31 @@ pub fn rasterize_window(
     workspace: &mut RasterWorkspace,
     out: &mut ViewBuffer,
 ) {
+    draw_inverse(
+        mesh,
+        part,
+        camera,
+        camera_from_world,
+        window,
+        workspace,
+        out,
+    );
+    for depth_m in &mut out.depth_m {
+        // The buffer holds 1/z while triangles are drawn.
+        *depth_m = if *depth_m > 0.0 { 1.0 / *depth_m } else { 0.0 };
+    }
+}
+
+/// Draws what lies in a window of the view; where [`ViewBuffer`] has depths, `out` gets 1/depth.
+pub(super) fn draw_inverse(
+    mesh: &TriMesh,
+    part: &MeshPart,
+    camera: &PinholeCamera,
+    camera_from_world: &RigidTransform,
+    window: PixelWindow,
+    workspace: &mut RasterWorkspace,
+    out: &mut ViewBuffer,
+) {
     let [width, height] = window.size();
     out.clear(width, height);
     let first_px = window.start;
@@ -252,10 +277,30 @@ pub fn rasterize_window(
             }
         }
     }
+}
 
-    for depth_m in &mut out.depth_m {
-        // The buffer holds 1/z while triangles are drawn.
-        *depth_m = if *depth_m > 0.0 { 1.0 / *depth_m } else { 0.0 };
+/// Draws triangles in space into a window of the view, which has 1/depth of what is there; ids are not
+/// theirs.
+pub(super) fn draw_triangles_inverse(
+    triangles_m: &[[Point3<f64>; 3]],
+    camera: &PinholeCamera,
+    camera_from_world: &RigidTransform,
+    window: PixelWindow,
+    out: &mut ViewBuffer,
+) {
+    let projector = Projector::new(camera, camera_from_world);
+    for corners_m in triangles_m {
+        let on_screen = corners_m.each_ref().map(|corner| projector.project(corner));
+        match Fate::of(on_screen.map(|v| v.outcode)) {
+            Fate::Dropped => {}
+            Fate::Drawn => draw(on_screen, 0, window.start, out),
+            Fate::Clipped => {
+                let points = corners_m
+                    .each_ref()
+                    .map(|corner| projector.homogeneous(corner));
+                clip_to_pieces(points, |piece| draw(piece, 0, window.start, out));
+            }
+        }
     }
 }
 

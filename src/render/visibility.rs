@@ -17,6 +17,7 @@ use crate::geom::{PinholeCamera, RigidTransform};
 use crate::mesh::TriMesh;
 
 use super::depth_bound::DepthBound;
+use super::kept_view::KeptView;
 use super::part::MeshPart;
 use super::raster::{NO_TRIANGLE, RasterWorkspace, ViewBuffer, rasterize_window};
 use super::window::{PixelWindow, WindowFinder};
@@ -170,6 +171,39 @@ impl VisibilityBuffer {
             &mut self.raster,
             &mut self.view,
         );
+        self.judge(camera, params, window);
+        Ok(())
+    }
+
+    /// What [`Self::update_window`] draws, from depths that are kept of the view, none of them stale in
+    /// the window. Ids of triangles are not kept.
+    ///
+    /// # Errors
+    /// [`CameraError`] when the camera cannot be scaled to the buffer's size.
+    pub fn load(
+        &mut self,
+        kept: &KeptView,
+        camera: &PinholeCamera,
+        params: &VisibilityParams,
+        window: PixelWindow,
+    ) -> Result<(), CameraError> {
+        let [width, height] = buffer_size(camera, params.max_width_px);
+        camera.resized(width, height)?;
+        let [width, height] = window.size();
+        self.view.clear(width, height);
+        let rows = self.view.depth_m.chunks_exact_mut(width.max(1) as usize);
+        for (row, inverse) in rows.zip(kept.rows(window)) {
+            for (depth_m, inverse) in row.iter_mut().zip(inverse) {
+                *depth_m = if *inverse > 0.0 { 1.0 / *inverse } else { 0.0 };
+            }
+        }
+        self.judge(camera, params, window);
+        Ok(())
+    }
+
+    /// Makes what the tests read from the depths of a window.
+    fn judge(&mut self, camera: &PinholeCamera, params: &VisibilityParams, window: PixelWindow) {
+        let [width, height] = buffer_size(camera, params.max_width_px);
         self.num_columns = width;
         self.window = window;
         self.scale = [
@@ -182,7 +216,6 @@ impl VisibilityBuffer {
         if params.edge_margin_px > 0 {
             self.spread_extremes();
         }
-        Ok(())
     }
 
     /// The view that the tests read.
@@ -203,8 +236,7 @@ impl VisibilityBuffer {
         }
         self.pixel_index(point.position_px).is_some_and(|index| {
             let surface_m = f64::from(self.view.depth_m[index]);
-            self.view.triangle[index] == NO_TRIANGLE
-                || point.depth_m <= surface_m + self.tolerance_m(point, 1.5)
+            surface_m <= 0.0 || point.depth_m <= surface_m + self.tolerance_m(point, 1.5)
         })
     }
 
@@ -273,7 +305,7 @@ impl VisibilityBuffer {
             &mut self.scratch_m,
             [width, height],
             margin,
-            f32::max,
+            |a, b| if a > b { a } else { b },
         );
         self.nearest_m.clear();
         self.nearest_m.extend(
@@ -286,7 +318,7 @@ impl VisibilityBuffer {
             &mut self.scratch_m,
             [width, height],
             margin,
-            f32::min,
+            |a, b| if a < b { a } else { b },
         );
     }
 }
@@ -297,7 +329,7 @@ fn spread(
     scratch: &mut Vec<f32>,
     [width, height]: [usize; 2],
     margin: usize,
-    extreme: fn(f32, f32) -> f32,
+    extreme: impl Fn(f32, f32) -> f32,
 ) {
     scratch.clone_from(values);
     for (row, wide) in values

@@ -31,6 +31,21 @@ impl PixelWindow {
         [0, 1].map(|axis| self.end[axis].saturating_sub(self.start[axis]))
     }
 
+    /// The least window around both.
+    #[must_use]
+    pub fn around(self, other: Self) -> Self {
+        if self.is_empty() {
+            return other;
+        }
+        if other.is_empty() {
+            return self;
+        }
+        Self {
+            start: [0, 1].map(|axis| self.start[axis].min(other.start[axis])),
+            end: [0, 1].map(|axis| self.end[axis].max(other.end[axis])),
+        }
+    }
+
     /// Whether there is no pixel in it.
     pub fn is_empty(&self) -> bool {
         self.size().contains(&0)

@@ -517,6 +517,7 @@ fn process(seen: &Observation<'_>) -> Finding {
     let values = vec![
         value("memory budget", plan.budget),
         value("memory for images", plan.keyframes),
+        value("memory for kept depths", plan.kept_views),
         value("memory for decoded images", plan.decode_cache),
         value("memory for the atlas", plan.atlas),
         value("memory for mesh and scores", plan.tables),

@@ -39,6 +39,8 @@ mod repaint;
 mod scores;
 mod surface;
 mod view;
+mod views;
+mod workspaces;
 
 use std::sync::Arc;
 
@@ -47,14 +49,17 @@ use crate::keyframe::Keyframe;
 use crate::mesh::{DiffCounts, DiffError, DiffParams, TrackedMesh, TriMesh};
 use crate::render::{MeshRuns, VisibilityParams};
 
+use super::assign::cues::FrameWorkspace;
 use super::assign::quality::TypicalQuality;
 use super::assign::{AssignError, Assignment, ColorCue, FailedFrame, chart_table};
 use super::density::SizeRule;
 use super::flatten::FlattenError;
-use super::transfer::{MAX_FRAMES_IN_ANY_ORDER, MeanForm};
+use super::transfer::{MAX_FRAMES_IN_ANY_ORDER, MeanForm, PaintBuffers};
 use super::{Coupling, Decode, Observer, Stage, TexInitParams};
 use charts::StreamChart;
 use keyframes::KnownFrames;
+use views::{Drawing, KeptViews};
+use workspaces::Workspaces;
 
 pub use charts::StreamChartId;
 
@@ -71,6 +76,8 @@ pub struct StreamParams {
     pub page_size_texel: u32,
     /// Pages are compacted while charts hold less than this share of them, [0, 1].
     pub min_used_share: f64,
+    /// Memory for the depths that keyframes see, MB (10⁶ bytes, ≥ 0).
+    pub view_cache_mb: f64,
     /// New keyframes that an update takes in at most; the others wait for the next. 0 for no limit.
     pub max_new_frames: usize,
 }
@@ -80,10 +87,11 @@ impl Default for StreamParams {
         Self {
             diff: DiffParams::default(),
             max_drift_m: 0.05,
-            remake_below_triangles: 200,
+            remake_below_triangles: 100,
             page_size_texel: 2048,
             min_used_share: 0.5,
             max_new_frames: 32,
+            view_cache_mb: 256.0,
         }
     }
 }
@@ -164,6 +172,13 @@ pub struct StreamInit {
     has_density: bool,
     frames: KnownFrames,
     typical: TypicalQuality,
+    views: KeptViews,
+    /// Of these, at most.
+    max_view_bytes: usize,
+    /// Of those who score.
+    workspaces: Workspaces<FrameWorkspace>,
+    /// Of those who paint.
+    buffers: PaintBuffers,
 }
 
 impl StreamInit {
@@ -195,6 +210,10 @@ impl StreamInit {
             has_density: false,
             frames: KnownFrames::default(),
             typical: TypicalQuality::default(),
+            views: KeptViews::default(),
+            max_view_bytes: whole_bytes(stream.view_cache_mb),
+            workspaces: Workspaces::default(),
+            buffers: PaintBuffers::default(),
             params: TexInitParams {
                 coupling: Coupling::Chart,
                 ..params.clone()
@@ -248,10 +267,17 @@ impl StreamInit {
         update.num_frames_waiting = num_waiting;
         observer.begin(Stage::Assign, frames.len());
         let turnover = self.take_frames(frames, &mut change, &mut update);
+        let mut views = self.views.take(
+            frames,
+            &turnover,
+            &self.params.transfer.visibility,
+            self.usable_view_bytes(),
+        );
         self.score(
             frames,
             &turnover,
             &mut change,
+            &mut views,
             decode,
             observer,
             &mut update,
@@ -264,14 +290,17 @@ impl StreamInit {
             &turnover,
             &change,
             &relabelled,
+            &mut views,
             decode,
             observer,
             &mut update,
         );
 
+        self.views.put_back(frames, views);
+
         observer.begin(Stage::Fill, 0);
         self.fill_beside(&change, &mut repainted);
-        self.dilate(&repainted);
+        self.dilate(&change, &repainted);
         self.tell(&change, &repainted.is_chart, &mut update);
         Ok(update)
     }
@@ -287,6 +316,25 @@ impl StreamInit {
         let means = &self.params.transfer.visibility;
         let scores = self.params.assign.visibility.as_ref();
         scores.is_some_and(|scores| scores.max_width_px == means.max_width_px)
+    }
+
+    /// Bytes for views that are kept: one must do for scores and for means.
+    fn usable_view_bytes(&self) -> usize {
+        let is_same_depth = self.params.assign.far_m() == self.params.transfer.far_m();
+        if self.has_bounds() && is_same_depth {
+            self.max_view_bytes
+        } else {
+            0
+        }
+    }
+
+    /// What views are drawn from.
+    fn drawing(&self) -> Drawing<'_> {
+        Drawing {
+            mesh: &self.mesh,
+            runs: &self.runs,
+            far_m: self.far_m(),
+        }
     }
 
     /// Visibility for scores or for means, whichever sees more.
@@ -319,6 +367,7 @@ impl StreamInit {
         self.has_density = false;
         self.frames = KnownFrames::default();
         self.typical = TypicalQuality::default();
+        self.views = KeptViews::default();
     }
 
     /// The mesh, in the order of the charts.
@@ -361,11 +410,19 @@ impl StreamInit {
         self.placer.as_ref().map_or(1.0, ChartPlacer::used_share)
     }
 
+    /// Keeps at most so many bytes of depths; what is painted does not depend on it.
+    pub fn set_view_bytes(&mut self, max_bytes: usize) {
+        self.max_view_bytes = max_bytes;
+    }
+
     /// Bytes that pages, scores and sums take.
     pub fn num_bytes(&self) -> usize {
         let pages = self.texture.pages.iter().map(|page| 8 * page.srgb.len());
         let charts = self.charts.iter().map(StreamChart::num_bytes);
-        pages.sum::<usize>() + charts.sum::<usize>() + self.frames.num_bytes()
+        pages.sum::<usize>()
+            + charts.sum::<usize>()
+            + self.frames.num_bytes()
+            + self.views.num_bytes()
     }
 
     /// Names what the update changed, for those who publish it.
@@ -382,6 +439,15 @@ impl StreamInit {
             }
         }
     }
+}
+
+#[expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "float to int casts saturate, as meant for a limit"
+)]
+fn whole_bytes(megabytes: f64) -> usize {
+    (1e6 * megabytes) as usize
 }
 
 fn check_frames(frames: &[Arc<Keyframe>]) -> Result<(), StreamError> {

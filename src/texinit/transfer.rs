@@ -36,7 +36,7 @@ use crate::render::MeshRuns;
 
 use super::assign::{Assignment, FailedFrame, FramePose};
 pub(crate) use mean::{MAX_FRAMES_IN_ANY_ORDER, MeanTexels, TexelSum};
-pub(crate) use painter::{KnownSight, MeanJob, PaintJob, Painter};
+pub(crate) use painter::{KnownSight, MeanJob, PaintBuffers, PaintJob, Painter};
 pub use params::{Lookup, MeanForm, TransferMode, TransferParams};
 
 /// Confidence of texels that show a mean over frames.
@@ -147,7 +147,9 @@ pub(crate) fn transfer_poses(
         }],
         known: None,
     };
-    let (means, mut report) = painter.paint_all(job, frames, decode, progress, &mut pages);
+    let buffers = &mut PaintBuffers::default();
+    let (means, mut report) =
+        painter.paint_all(job, frames, &mut [], buffers, decode, progress, &mut pages);
     for MeanJob { texels, .. } in &means {
         let written = texels.write(layout, params.mean_form, &mut pages, |_| true);
         (report.num_mean, report.num_unseen) = written;

@@ -3,7 +3,10 @@
 use crate::geom::camera::CameraError;
 use crate::keyframe::DecodedFrame;
 use crate::mesh::TriMesh;
-use crate::render::{DepthBound, MeshPart, MeshRuns, PixelWindow, VisibilityBuffer, WindowFinder};
+use crate::render::{
+    DepthBound, KeptView, MeshPart, MeshRuns, PixelWindow, ViewScratch, VisibilityBuffer,
+    WindowFinder,
+};
 
 use super::validity::{
     DepthProbe, TriangleView, TriangleVisibility, VertexView, depth_difference_m, view_vertices,
@@ -161,6 +164,8 @@ fn each_unequal<T: PartialEq>(
 pub(crate) struct FrameWorkspace {
     vertices: Vec<VertexView>,
     visibility: VisibilityBuffer,
+    /// For views that are kept.
+    pub(crate) view: ViewScratch,
 }
 
 impl FrameWorkspace {
@@ -181,10 +186,14 @@ pub(crate) fn score_frame(
 ) -> Result<FrameCandidates, CameraError> {
     let camera_from_world = pose.world_from_camera.inverse();
     let in_view = runs.in_view(&frame.color_camera, &camera_from_world, params.far_m());
+    let whole = params
+        .visibility
+        .as_ref()
+        .map(|visibility| WindowFinder::new(&frame.color_camera, visibility).whole());
     let sight = PartSight {
         part: &in_view,
-        occluders: &in_view,
-        window: None,
+        occluders: Occluders::Drawn(&in_view),
+        window: whole.unwrap_or_default(),
     };
     score_part(mesh, &sight, pose, frame, params, workspace)
 }
@@ -192,9 +201,18 @@ pub(crate) fn score_frame(
 /// A part of the mesh, and what may hide it.
 pub(crate) struct PartSight<'a> {
     pub(crate) part: &'a MeshPart,
-    pub(crate) occluders: &'a MeshPart,
-    /// Where in the visibility buffer the part lies; `None` for all over.
-    pub(crate) window: Option<PixelWindow>,
+    pub(crate) occluders: Occluders<'a>,
+    /// Where in the visibility buffer the part lies.
+    pub(crate) window: PixelWindow,
+}
+
+/// What may hide a part of the mesh.
+#[derive(Clone, Copy)]
+pub(crate) enum Occluders<'a> {
+    /// All that may show in the window, to be drawn.
+    Drawn(&'a MeshPart),
+    /// Depths of all that shows.
+    Kept(&'a KeptView),
 }
 
 /// Scores those of the triangles of a part that the frame may paint.
@@ -210,19 +228,25 @@ pub(crate) fn score_part(
     let FrameWorkspace {
         vertices,
         visibility,
+        ..
     } = workspace;
     let part = sight.part;
     view_vertices(mesh, part, &camera_from_world, frame, params, vertices);
     if let Some(visibility_params) = &params.visibility {
-        let whole = WindowFinder::new(&frame.color_camera, visibility_params).whole();
-        visibility.update_window(
-            mesh,
-            sight.occluders,
-            &frame.color_camera,
-            &camera_from_world,
-            visibility_params,
-            sight.window.unwrap_or(whole),
-        )?;
+        let camera = &frame.color_camera;
+        match sight.occluders {
+            Occluders::Drawn(part) => visibility.update_window(
+                mesh,
+                part,
+                camera,
+                &camera_from_world,
+                visibility_params,
+                sight.window,
+            )?,
+            Occluders::Kept(view) => {
+                visibility.load(view, camera, visibility_params, sight.window)?;
+            }
+        }
     }
     let scorer = Scorer::new(frame, params);
     let mut out = FrameCandidates::default();

@@ -143,7 +143,9 @@ pub(crate) fn solve(
 ) -> Vec<Option<u32>> {
     let mut messages = Messages::new(ranked, adjacency, params.weight);
     for _ in 0..params.num_sweeps.min(100) {
-        messages.sweep();
+        if !messages.sweep() {
+            break;
+        }
     }
     // The decoding may lose to deciding alone where the relaxation is not tight; what is improved
     // from there cannot.
@@ -175,11 +177,29 @@ struct Messages<'a> {
     beliefs: Vec<f32>,
     /// Per edge: what it put into its first and its second triangle.
     sent: Vec<f32>,
+    /// Where there is a message: which slot of the other triangle has the same frame, or [`NO_SLOT`].
+    same_slot: Vec<u8>,
 }
+
+const NO_SLOT: u8 = u8::MAX;
 
 impl<'a> Messages<'a> {
     fn new(ranked: &'a Ranked, adjacency: &'a [[u32; 2]], weight: f32) -> Self {
+        let width = ranked.width;
+        let mut same_slot = vec![NO_SLOT; adjacency.len() * 2 * width];
+        for (pair, same_slot) in adjacency.iter().zip(same_slot.chunks_exact_mut(2 * width)) {
+            let sides = pair.map(|triangle| ranked.of(triangle as usize));
+            for (i, mine) in (0_u8..).zip(sides[0]) {
+                for (j, theirs) in (0_u8..).zip(sides[1]) {
+                    if mine.frame == theirs.frame {
+                        same_slot[usize::from(i)] = j;
+                        same_slot[width + usize::from(j)] = i;
+                    }
+                }
+            }
+        }
         Self {
+            same_slot,
             ranked,
             adjacency,
             weight,
@@ -188,49 +208,46 @@ impl<'a> Messages<'a> {
         }
     }
 
-    /// One update of every edge: it splits what its pair can reach evenly between the two.
-    fn sweep(&mut self) {
+    /// One update of every edge: it splits what its pair can reach evenly between the two. Whether
+    /// anything changed; where nothing did, nothing ever will.
+    fn sweep(&mut self) -> bool {
         let width = self.ranked.width;
         let mut without = [[0.0f32; 16]; 2];
-        let mut reach = [[0.0f32; 16]; 2];
-        for (pair, sent) in self
-            .adjacency
-            .iter()
-            .zip(self.sent.chunks_exact_mut(2 * width))
-        {
-            let sides = pair.map(|triangle| self.ranked.of(triangle as usize));
-            if sides[0].is_empty() || sides[1].is_empty() {
+        let mut has_changed = false;
+        let messages = self.sent.chunks_exact_mut(2 * width);
+        let messages = messages.zip(self.same_slot.chunks_exact(2 * width));
+        for (pair, (sent, same_slot)) in self.adjacency.iter().zip(messages) {
+            let num_choices =
+                pair.map(|triangle| usize::from(self.ranked.num_choices[triangle as usize]));
+            if num_choices.contains(&0) {
                 continue;
             }
             let starts = pair.map(|triangle| triangle as usize * width);
+            let mut best = [f32::NEG_INFINITY; 2];
             for side in 0..2 {
-                for slot in 0..sides[side].len() {
-                    without[side][slot] =
-                        self.beliefs[starts[side] + slot] - sent[side * width + slot];
+                for slot in 0..num_choices[side] {
+                    let value = self.beliefs[starts[side] + slot] - sent[side * width + slot];
+                    without[side][slot] = value;
+                    best[side] = best[side].max(value);
                 }
             }
             for side in 0..2 {
                 let other = 1 - side;
-                let best_other = without[other][..sides[other].len()]
-                    .iter()
-                    .fold(f32::NEG_INFINITY, |best, &value| best.max(value));
-                for (slot, choice) in sides[side].iter().enumerate() {
-                    let same = sides[other]
-                        .iter()
-                        .position(|other| other.frame == choice.frame)
-                        .map_or(f32::NEG_INFINITY, |at| without[other][at] + self.weight);
-                    reach[side][slot] = best_other.max(same);
-                }
-            }
-            for side in 0..2 {
-                for slot in 0..sides[side].len() {
+                for slot in 0..num_choices[side] {
+                    let same = match same_slot[side * width + slot] {
+                        NO_SLOT => f32::NEG_INFINITY,
+                        at => without[other][usize::from(at)] + self.weight,
+                    };
                     let own = without[side][slot];
-                    let message = 0.5 * (reach[side][slot] - own);
-                    sent[side * width + slot] = message;
-                    self.beliefs[starts[side] + slot] = own + message;
+                    let message = 0.5 * (best[other].max(same) - own);
+                    let sent = &mut sent[side * width + slot];
+                    let belief = &mut self.beliefs[starts[side] + slot];
+                    has_changed |= *sent != message || *belief != own + message;
+                    (*sent, *belief) = (message, own + message);
                 }
             }
         }
+        has_changed
     }
 
     /// Slot of the best belief per triangle.
@@ -296,12 +313,17 @@ fn total_score(ranked: &Ranked, adjacency: &[[u32; 2]], weight: f32, chosen: &[u
     unary + f64::from(weight) * num_equal as f64
 }
 
-/// Changes single triangles while that gains, at most ten times over all.
+/// Changes single triangles while that gains, at most ten times over all. One whose neighbours are as
+/// they were is as good as it was.
 fn improve(ranked: &Ranked, adjacency: &[[u32; 2]], weight: f32, chosen: &mut [usize]) {
     let neighbours = Neighbours::new(chosen.len(), adjacency);
+    let mut is_due = vec![true; chosen.len()];
     for _ in 0..10 {
         let mut has_changed = false;
         for triangle in 0..chosen.len() {
+            if !std::mem::take(&mut is_due[triangle]) {
+                continue;
+            }
             let choices = ranked.of(triangle);
             let gain = |slot: usize| {
                 let choice: &Choice = &choices[slot];
@@ -328,8 +350,13 @@ fn improve(ranked: &Ranked, adjacency: &[[u32; 2]], weight: f32, chosen: &mut [u
                     (best, best_gain) = (slot, slot_gain);
                 }
             }
-            has_changed |= best != chosen[triangle];
-            chosen[triangle] = best;
+            if best != chosen[triangle] {
+                has_changed = true;
+                chosen[triangle] = best;
+                for &other in neighbours.of(triangle) {
+                    is_due[other as usize] = true;
+                }
+            }
         }
         if !has_changed {
             break;

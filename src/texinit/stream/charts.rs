@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use super::labels::KeptLabels;
+use crate::atlas::gutter::Gutter;
 use crate::atlas::{AtlasLayout, ChartId, ChartPlacer, PlacedPiece};
 use crate::mesh::TriangleId;
 use crate::render::BoundingBox;
@@ -37,6 +38,8 @@ pub(super) struct StreamChart {
     pub(super) means: BTreeMap<u32, Vec<TexelSum>>,
     /// How many texels of each triangle are painted.
     pub(super) coverage: Vec<Coverage>,
+    /// `None` before it is painted first.
+    pub(super) gutter: Option<Gutter>,
 }
 
 impl StreamChart {
@@ -55,6 +58,7 @@ impl StreamChart {
             members: members.collect(),
             means: BTreeMap::new(),
             coverage: vec![Coverage::default(); num_triangles],
+            gutter: None,
             piece,
         }
     }
@@ -72,7 +76,8 @@ impl StreamChart {
         let sums = self.means.values().map(|sums| size_of_val(&**sums));
         // Per triangle: three sums of colours, the best frames, corners, label and the like.
         const PER_TRIANGLE: usize = 400;
-        self.labels.num_bytes() + sums.sum::<usize>() + PER_TRIANGLE * self.len()
+        let gutter = self.gutter.as_ref().map_or(0, Gutter::num_bytes);
+        gutter + self.labels.num_bytes() + sums.sum::<usize>() + PER_TRIANGLE * self.len()
     }
 }
 

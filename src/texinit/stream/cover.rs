@@ -35,28 +35,41 @@ impl<'a> TouchedSurface<'a> {
         view: &KnownView<'_>,
         reach_px: f64,
         bound: &mut Option<DepthBound>,
-    ) -> Option<Cover> {
+    ) -> Option<(Cover, Shown)> {
         let mut cover = Cover::empty(view.camera, view.camera_from_world);
-        let mut lifted = Vec::new();
-        self.gone.each_in(view, |corners| {
+        let mut shown = Shown::default();
+        self.gone.each_in(view, |corners_m| {
+            let corners = view.in_camera(corners_m);
             // What was hidden may be behind other surface that went: it is judged by what was there.
-            if !view.hides(corners, bound.as_ref()) {
-                cover.add(corners, reach_px);
-                lifted.push(view.corners_px(corners));
+            if !view.hides(&corners, bound.as_ref()) {
+                cover.add(&corners, reach_px);
+                shown.gone_px.push(view.corners_px(&corners));
             }
         });
         if let Some(bound) = bound {
-            for corners_px in &lifted {
+            for corners_px in &shown.gone_px {
                 bound.lift(corners_px.as_ref());
             }
         }
-        self.came.each_in(view, |corners| {
-            if !view.hides(corners, bound.as_ref()) {
-                cover.add(corners, reach_px);
+        self.came.each_in(view, |corners_m| {
+            let corners = view.in_camera(corners_m);
+            if !view.hides(&corners, bound.as_ref()) {
+                cover.add(&corners, reach_px);
+                shown.came.push(*corners_m);
             }
         });
-        cover.is_in.contains(&true).then_some(cover)
+        let is_empty = shown.gone_px.is_empty() && shown.came.is_empty();
+        (!is_empty).then_some((cover, shown))
     }
+}
+
+/// What a view may show of surface that came or went.
+#[derive(Default)]
+pub(super) struct Shown {
+    /// Pixels of the corners of what went; `None` unless all are in front of the camera.
+    pub(super) gone_px: Vec<Option<[[f64; 2]; 3]>>,
+    /// What came, in space.
+    pub(super) came: Vec<[Point3<f64>; 3]>,
 }
 
 /// Triangles in space.
@@ -133,25 +146,24 @@ impl Cover {
         ]
     }
 
-    /// Columns and rows, first and last, of the blocks that points may project into; `None` where
+    /// Columns and rows, first and last, of the blocks that points in the camera may project into; `None` where
     /// they are all out of the image.
     #[expect(
         clippy::cast_possible_truncation,
         clippy::cast_sign_loss,
         reason = "clamped to the image before the casts"
     )]
-    fn blocks(&self, points_m: &[Point3<f64>], reach_px: f64) -> Option<[[usize; 2]; 2]> {
+    fn blocks(&self, in_camera: &[Point3<f64>], reach_px: f64) -> Option<[[usize; 2]; 2]> {
         let mut low = [f64::INFINITY; 2];
         let mut high = [f64::NEG_INFINITY; 2];
         let mut nearest_m = f64::INFINITY;
         let mut is_outside = [true; 5];
-        for point in points_m {
-            let point = self.camera_from_world.transform_point(point);
+        for point in in_camera {
             nearest_m = nearest_m.min(point.z);
-            for (all, one) in is_outside.iter_mut().zip(self.is_outside(&point, reach_px)) {
+            for (all, one) in is_outside.iter_mut().zip(self.is_outside(point, reach_px)) {
                 *all &= one;
             }
-            if let Some(px) = self.camera.project(&point) {
+            if let Some(px) = self.camera.project(point) {
                 for axis in 0..2 {
                     low[axis] = low[axis].min(px[axis]);
                     high[axis] = high[axis].max(px[axis]);
@@ -177,8 +189,8 @@ impl Cover {
         Some(blocks)
     }
 
-    fn add(&mut self, corners_m: &[Point3<f64>; 3], reach_px: f64) {
-        if let Some([columns, [top, bottom]]) = self.blocks(corners_m, reach_px) {
+    fn add(&mut self, in_camera: &[Point3<f64>; 3], reach_px: f64) {
+        if let Some([columns, [top, bottom]]) = self.blocks(in_camera, reach_px) {
             for row in top..=bottom {
                 let start = row * self.size[0];
                 self.is_in[start + columns[0]..=start + columns[1]].fill(true);
@@ -186,11 +198,21 @@ impl Cover {
         }
     }
 
+    pub(super) fn is_empty(&self) -> bool {
+        !self.is_in.contains(&true)
+    }
+
     /// Whether something between the points may lie in the part.
-    pub(super) fn meets(&self, points_m: &[Point3<f64>]) -> bool {
+    pub(super) fn meets<const N: usize>(&self, points_m: &[Point3<f64>; N]) -> bool {
+        let to_camera = |point| self.camera_from_world.transform_point(point);
+        self.meets_in_camera(&points_m.each_ref().map(to_camera))
+    }
+
+    /// The same of points in the camera.
+    pub(super) fn meets_in_camera(&self, in_camera: &[Point3<f64>]) -> bool {
         // Rounding to pixels.
         const SLACK_PX: f64 = 1.0;
-        let Some([columns, [top, bottom]]) = self.blocks(points_m, SLACK_PX) else {
+        let Some([columns, [top, bottom]]) = self.blocks(in_camera, SLACK_PX) else {
             return false;
         };
         (top..=bottom).any(|row| {
@@ -217,7 +239,8 @@ mod tests {
     fn cover_of(touched: &TouchedSurface<'_>, pose: &RigidTransform) -> Option<Cover> {
         let (camera, params) = (camera(), VisibilityParams::default());
         let view = KnownView::new(&camera, pose, &params);
-        touched.cover(&view, 3.0, &mut None)
+        let (cover, _) = touched.cover(&view, 3.0, &mut None)?;
+        (!cover.is_empty()).then_some(cover)
     }
 
     #[test]
@@ -274,10 +297,10 @@ mod tests {
         // It comes while a piece of the wall goes.
         let before = [triangle(0.0, 0.0, 2.0)];
         let touched = TouchedSurface::new(&before, &behind);
-        let mut cover = touched.cover(&view, 3.0, &mut bound).unwrap();
+        let (mut cover, _) = touched.cover(&view, 3.0, &mut bound).unwrap();
         assert!(cover.meets(&behind[0]));
         // From now on nothing hides it.
-        cover = TouchedSurface::new(&[], &behind)
+        (cover, _) = TouchedSurface::new(&[], &behind)
             .cover(&view, 3.0, &mut bound)
             .unwrap();
         assert!(cover.meets(&behind[0]));

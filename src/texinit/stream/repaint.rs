@@ -4,15 +4,19 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use rayon::prelude::*;
+
 use super::charts::{Dirt, StreamChart};
 use super::cover::Cover;
 use super::keyframes::Turnover;
 use super::surface::SurfaceChange;
+use super::views::ViewSlot;
 use super::{StreamInit, StreamUpdate};
-use crate::atlas::gutter::dilate_gutters_of;
-use crate::atlas::{TexelSource, TexturePage, for_each_texel_within};
+use crate::atlas::gutter::Gutter;
+use crate::atlas::{TexelSource, for_each_texel_within};
 use crate::keyframe::Keyframe;
 use crate::mesh::{TriMesh, TriangleId};
+use crate::render::KeptView;
 use crate::texinit::assign::{Assignment, FramePose};
 use crate::texinit::fill::{Coverage, Surface, fill_triangles, regions_at};
 use crate::texinit::transfer::{
@@ -53,6 +57,7 @@ impl StreamInit {
         turnover: &Turnover,
         change: &SurfaceChange,
         before: &[Option<Assignment>],
+        views: &mut [ViewSlot],
         decode: &Decode<'_>,
         observer: &dyn Observer,
         update: &mut StreamUpdate,
@@ -69,28 +74,29 @@ impl StreamInit {
         }
         let mut touched = plan.wiped.clone();
         self.wipe(&plan.wiped, &|_| true);
-        touched.extend(self.paint(plan, frames, turnover, decode, observer));
+        touched.extend(self.paint(plan, frames, turnover, views, decode, observer));
         update.num_triangles_painted = touched.len();
         self.repainted(&touched)
     }
 
     /// Resets texels of some triangles, of some sources, to as if nobody had painted them.
-    fn wipe(&mut self, triangles: &[TriangleId], is_wiped: &dyn Fn(TexelSource) -> bool) {
-        let blank = |page: &mut TexturePage, index: usize| {
-            page.srgb[index] = [0; 3];
-            page.source[index] = TexelSource::NONE;
-            page.confidence[index] = 0;
-        };
-        for &triangle in triangles {
-            let page = &mut self.texture.pages[self.layout.page_of(triangle) as usize];
-            let corners = &self.layout.corners_texel[triangle.index()];
-            for_each_texel_within(corners, self.layout.page_size_texel, |x, y, _| {
-                let index = (y * page.width + x) as usize;
-                if is_wiped(page.source[index]) {
-                    blank(page, index);
-                }
-            });
-        }
+    fn wipe(&mut self, triangles: &[TriangleId], is_wiped: &(dyn Fn(TexelSource) -> bool + Sync)) {
+        let layout = &self.layout;
+        let pages = self.texture.pages.par_iter_mut();
+        pages.enumerate().for_each(|(number, page)| {
+            let on_page = |triangle: &&TriangleId| layout.page_of(**triangle) as usize == number;
+            for triangle in triangles.iter().filter(on_page) {
+                let corners = &layout.corners_texel[triangle.index()];
+                for_each_texel_within(corners, layout.page_size_texel, |x, y, _| {
+                    let index = (y * page.width + x) as usize;
+                    if is_wiped(page.source[index]) {
+                        page.srgb[index] = [0; 3];
+                        page.source[index] = TexelSource::NONE;
+                        page.confidence[index] = 0;
+                    }
+                });
+            }
+        });
     }
 
     /// Paints; returns the triangles of [`Plan::grown`] to whose sums a keyframe added.
@@ -99,6 +105,7 @@ impl StreamInit {
         plan: Plan,
         frames: &[Arc<Keyframe>],
         turnover: &Turnover,
+        views: &mut [ViewSlot],
         decode: &Decode<'_>,
         observer: &dyn Observer,
     ) -> Vec<TriangleId> {
@@ -155,8 +162,14 @@ impl StreamInit {
         let poses: Vec<FramePose> = frames.iter().map(|frame| (&**frame).into()).collect();
         let decode_at = |frame: usize| decode(&frames[frame]);
         let advance = |num_steps: usize| observer.advance(num_steps);
-        let pages = &mut self.texture.pages;
-        let (means, _) = painter.paint_all(job, &poses, &decode_at, &advance, pages);
+        let (pages, buffers) = (&mut self.texture.pages, &mut self.buffers);
+        let mut kept: Vec<Option<KeptView>> =
+            views.iter_mut().map(|slot| slot.view.take()).collect();
+        let (means, _) =
+            painter.paint_all(job, &poses, &mut kept, buffers, &decode_at, &advance, pages);
+        for (slot, view) in views.iter_mut().zip(kept) {
+            slot.view = view;
+        }
         let [anew, grown] = [0, 1].map(|index: usize| &means[index].texels);
         let has_grown: Vec<TriangleId> = grown.grown().collect();
         // Until now these showed the means before.
@@ -180,7 +193,14 @@ impl StreamInit {
             is_chart: vec![false; self.charts.len()],
             is_vertex: vec![false; self.mesh.num_vertices()],
         };
-        for &triangle in touched {
+        let coverage: Vec<Coverage> = touched
+            .par_iter()
+            .map(|triangle| {
+                let page = &self.texture.pages[self.layout.page_of(*triangle) as usize];
+                Coverage::of(&self.layout.corners_texel[triangle.index()], page)
+            })
+            .collect();
+        for (&triangle, coverage) in touched.iter().zip(coverage) {
             let index = self.layout.chart_of_triangle[triangle.index()].index();
             repainted.is_chart[index] = true;
             for vertex in self.mesh.triangles()[triangle.index()] {
@@ -188,8 +208,7 @@ impl StreamInit {
             }
             let chart = &mut self.charts[index];
             let number = triangle.index() - chart.first_triangle();
-            let page = &self.texture.pages[chart.piece.chart.page as usize];
-            chart.coverage[number] = Coverage::of(&chart.piece.corners_texel[number], page);
+            chart.coverage[number] = coverage;
         }
         repainted
     }
@@ -233,13 +252,30 @@ impl StreamInit {
         }
     }
 
-    /// Paints the gutters of the charts with other texels.
-    pub(super) fn dilate(&mut self, repainted: &Repainted) {
-        if self.params.has_gutters {
-            let charts = self.charts.iter().zip(&repainted.is_chart);
-            let charts = charts.filter(|(_, is_repainted)| **is_repainted);
-            let charts: Vec<_> = charts.map(|(chart, _)| &chart.piece.chart).collect();
-            dilate_gutters_of(&charts, &mut self.texture);
+    /// Paints the gutters of the charts with other texels. All texels of a chart's triangles are painted
+    /// by now, so that its gutter stays the same while the chart is where it is.
+    pub(super) fn dilate(&mut self, change: &SurfaceChange, repainted: &Repainted) {
+        if !self.params.has_gutters {
+            return;
+        }
+        let pages = &mut self.texture.pages;
+        let is_repainted = self.charts.par_iter_mut().zip(&repainted.is_chart);
+        is_repainted
+            .zip(&change.dirt)
+            .filter(|((_, is_repainted), _)| **is_repainted)
+            .for_each(|((chart, _), dirt)| {
+                let placed = &chart.piece.chart;
+                if dirt.is_relaid || chart.gutter.is_none() {
+                    let page = pages.get(placed.page as usize);
+                    chart.gutter = page.and_then(|page| Gutter::of(placed, page));
+                }
+            });
+        let charts = self.charts.iter().zip(&repainted.is_chart);
+        for (chart, _) in charts.filter(|(_, is_repainted)| **is_repainted) {
+            let page = pages.get_mut(chart.piece.chart.page as usize);
+            if let (Some(gutter), Some(page)) = (&chart.gutter, page) {
+                gutter.paint(page);
+            }
         }
     }
 }

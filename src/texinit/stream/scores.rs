@@ -4,20 +4,25 @@ use std::collections::BTreeMap;
 use std::ops::Range;
 use std::sync::Arc;
 
-use nalgebra::Point3;
 use rayon::prelude::*;
 
-use super::cover::{Cover, TouchedSurface};
+use super::cover::{Cover, Shown, TouchedSurface};
 use super::keyframes::Turnover;
 use super::surface::SurfaceChange;
 use super::view::KnownView;
+use super::views::ViewSlot;
 use super::{StreamInit, StreamUpdate};
 use crate::geom::PinholeCamera;
+use crate::geom::camera::CameraError;
 use crate::keyframe::Keyframe;
-use crate::render::{BoundingBox, DepthBound, Frustum, MeshPart, WindowFinder};
+use crate::render::{
+    BoundingBox, DepthBound, Frustum, KeptView, MeshPart, ViewPoint, ViewScratch, WindowFinder,
+};
 use crate::texinit::assign::Assignment;
 use crate::texinit::assign::chart_table::ChartPlaces;
-use crate::texinit::assign::cues::{FrameCandidates, FrameWorkspace, PartSight, score_part};
+use crate::texinit::assign::cues::{
+    FrameCandidates, FrameWorkspace, Occluders, PartSight, score_part,
+};
 use crate::texinit::{Decode, Observer};
 
 /// Blocks of a visibility buffer, each way, that are kept as one.
@@ -63,6 +68,7 @@ impl StreamInit {
         frames: &[Arc<Keyframe>],
         turnover: &Turnover,
         change: &mut SurfaceChange,
+        views: &mut [ViewSlot],
         decode: &Decode<'_>,
         observer: &dyn Observer,
         update: &mut StreamUpdate,
@@ -82,8 +88,11 @@ impl StreamInit {
         };
         let sightings: Vec<Result<Option<Sighting>, String>> = frames
             .par_iter()
-            .map_init(FrameWorkspace::default, |workspace, keyframe| {
-                let sighting = scoring.look(keyframe, workspace);
+            .zip(views)
+            .map(|(keyframe, view)| {
+                let sighting = self
+                    .workspaces
+                    .with(|workspace| scoring.look(keyframe, view, workspace));
                 observer.advance(1);
                 sighting
             })
@@ -183,6 +192,7 @@ impl Scoring<'_> {
     fn look(
         &self,
         keyframe: &Keyframe,
+        slot: &mut ViewSlot,
         workspace: &mut FrameWorkspace,
     ) -> Result<Option<Sighting>, String> {
         let Some(known) = self.state.frames.get(keyframe.id.0) else {
@@ -201,8 +211,20 @@ impl Scoring<'_> {
         let params = self.state.view_params();
         let view = KnownView::new(&camera, &camera_from_world, &params);
         let mut bound = known.bound.as_deref().cloned();
-        let cover = self.cover(keyframe.id.0, &view, &mut bound);
         let mut finder = WindowFinder::new(&camera, &params);
+        let to_string = |error: CameraError| error.to_string();
+        let own_camera = finder.buffer_camera(&camera).map_err(to_string)?;
+        let mut cover = None;
+        if let Some((found, shown)) = self.cover(keyframe.id.0, &view, &mut bound) {
+            cover = Some(found).filter(|cover| !cover.is_empty());
+            if let Some(kept) = &mut slot.view {
+                let from = ViewPoint {
+                    camera: &own_camera,
+                    camera_from_world: &camera_from_world,
+                };
+                change_view(kept, &shown, &view, from, finder, &mut workspace.view);
+            }
+        }
         let charts = self.charts_to_score(
             keyframe.id.0,
             &view,
@@ -230,17 +252,25 @@ impl Scoring<'_> {
             None => decode()?,
         };
         let (mesh, params) = (&self.state.mesh, &self.state.params.assign);
-        let buffer_camera = finder.buffer_camera(&camera);
-        let frustum = Frustum::of_window(
-            &buffer_camera.map_err(|error| error.to_string())?,
-            &camera_from_world,
-            params.far_m(),
-            window,
-        );
+        let (drawing, scratch) = (self.state.drawing(), &mut workspace.view);
+        slot.bring_up(&drawing, &camera, &camera_from_world, &finder, scratch)
+            .map_err(to_string)?;
+        let drawn = match &slot.view {
+            Some(_) => MeshPart::default(),
+            None => self.state.runs.in_frustum(&Frustum::of_window(
+                &own_camera,
+                &camera_from_world,
+                params.far_m(),
+                window,
+            )),
+        };
         let sight = PartSight {
             part: &MeshPart::of_runs(mesh, self.runs(&sighting.charts)),
-            occluders: &self.state.runs.in_frustum(&frustum),
-            window: Some(window),
+            occluders: match &slot.view {
+                Some(view) => Occluders::Kept(view),
+                None => Occluders::Drawn(&drawn),
+            },
+            window,
         };
         let scored = score_part(mesh, &sight, &known.pose, &frame, params, workspace)
             .map_err(|error| error.to_string())?;
@@ -261,7 +291,7 @@ impl Scoring<'_> {
         number: u32,
         view: &KnownView<'_>,
         bound: &mut Option<DepthBound>,
-    ) -> Option<Cover> {
+    ) -> Option<(Cover, Shown)> {
         if self.turnover.is_unseen(number) {
             return None;
         }
@@ -292,13 +322,14 @@ impl Scoring<'_> {
             }
             let mut triangles = Vec::new();
             for (triangle, of_chart) in (0_u32..).zip(&*chart.piece.chart.triangles) {
-                let corners_m: [Point3<f64>; 3] = self.state.mesh.corners_m(*of_chart);
+                let corners_m = self.state.mesh.corners_m(*of_chart);
                 let is_unscored = is_unseen || dirt.is_unscored(triangle as usize);
-                let may_differ = || cover.is_some_and(|cover| cover.meets(&corners_m));
-                if (is_unscored || may_differ()) && !view.hides(&corners_m, bound) {
+                let in_camera = view.in_camera(&corners_m);
+                let may_differ = || cover.is_some_and(|cover| cover.meets_in_camera(&in_camera));
+                if (is_unscored || may_differ()) && !view.hides(&in_camera, bound) {
                     triangles.push(triangle);
                     if !is_unseen {
-                        window.include(view.corners_px(&corners_m));
+                        window.include(view.corners_px(&in_camera));
                     }
                 }
             }
@@ -338,4 +369,25 @@ impl Scoring<'_> {
         let of_scores = params.assign.visibility.as_ref();
         of_scores.map_or(of_means, |scores| of_means.max(scores.reach_px(camera)))
     }
+}
+
+/// Brings a view that is kept up to surface that came or went.
+fn change_view(
+    kept: &mut KeptView,
+    shown: &Shown,
+    view: &KnownView<'_>,
+    from: ViewPoint<'_>,
+    nothing: WindowFinder,
+    scratch: &mut ViewScratch,
+) {
+    let mut gone = nothing;
+    for &corners_px in &shown.gone_px {
+        gone.include(corners_px);
+    }
+    kept.forget(gone.window());
+    let mut came = nothing;
+    for corners_m in &shown.came {
+        came.include(view.corners_px(&view.in_camera(corners_m)));
+    }
+    kept.add(&shown.came, came.window(), from, scratch);
 }

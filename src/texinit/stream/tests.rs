@@ -154,6 +154,48 @@ fn any_sequence_of_changes_gives_the_batch() {
 }
 
 #[test]
+fn how_many_views_are_kept_changes_nothing() {
+    let base = texinit_params();
+    // All is seen as far as this by scores and means alike, and some of the scene is farther.
+    let near = VisibilityParams {
+        far_m: 2.4,
+        ..VisibilityParams::default()
+    };
+    let near = TexInitParams {
+        assign: AssignParams {
+            visibility: Some(near.clone()),
+            ..base.assign.clone()
+        },
+        transfer: TransferParams {
+            visibility: near,
+            ..base.transfer.clone()
+        },
+        ..base.clone()
+    };
+    let num_view_bytes = {
+        let mut state = StreamInit::new(&base, &stream_params()).unwrap();
+        let scan = Scan::new(0);
+        update(&mut state, &scan);
+        state.views.num_bytes() / scan.frames().len()
+    };
+    assert!(num_view_bytes > 0);
+    let budgets = [0.0, 2.5, 1e6].map(|num_views| num_views * num_view_bytes as f64 / 1e6);
+    let cases = [&base, &near].map(|params| budgets.map(|budget_mb| (params, budget_mb)));
+    cases
+        .as_flattened()
+        .par_iter()
+        .for_each(|(params, budget_mb)| {
+            let stream = StreamParams {
+                view_cache_mb: *budget_mb,
+                ..stream_params()
+            };
+            for seed in 400..406 {
+                run(seed, 5, params, &stream);
+            }
+        });
+}
+
+#[test]
 fn other_forms_give_their_batch_too() {
     let base = texinit_params();
     let forms = [

@@ -33,27 +33,29 @@ impl<'a> KnownView<'a> {
         self.frustum.may_see(bounds)
     }
 
-    /// The pixels of a triangle's corners; `None` unless all are in front of the camera.
-    pub(super) fn corners_px(&self, corners_m: &[Point3<f64>; 3]) -> Option<[[f64; 2]; 3]> {
-        let in_camera = corners_m.map(|corner| self.camera_from_world.transform_point(&corner));
-        self.project(&in_camera)
+    pub(super) fn in_camera(&self, corners_m: &[Point3<f64>; 3]) -> [Point3<f64>; 3] {
+        corners_m.map(|corner| self.camera_from_world.transform_point(&corner))
     }
 
-    fn project(&self, corners_in_camera: &[Point3<f64>; 3]) -> Option<[[f64; 2]; 3]> {
+    /// The pixels of a triangle's corners; `None` unless all are in front of the camera.
+    pub(super) fn corners_px(&self, corners_in_camera: &[Point3<f64>; 3]) -> Option<[[f64; 2]; 3]> {
         let [a, b, c] = corners_in_camera.map(|corner| self.camera.project(&corner));
         Some([a?, b?, c?])
     }
 
     /// Whether nothing of a triangle shows, by how far the view sees at most; no without a bound.
-    pub(super) fn hides(&self, corners_m: &[Point3<f64>; 3], bound: Option<&DepthBound>) -> bool {
+    pub(super) fn hides(
+        &self,
+        corners_in_camera: &[Point3<f64>; 3],
+        bound: Option<&DepthBound>,
+    ) -> bool {
         let Some(bound) = bound else {
             return false;
         };
-        let corners = corners_m.map(|corner| self.camera_from_world.transform_point(&corner));
-        let Some(corners_px) = self.project(&corners) else {
+        let Some(corners_px) = self.corners_px(corners_in_camera) else {
             return false;
         };
-        let [a, b, c] = &corners;
+        let [a, b, c] = corners_in_camera;
         let center = Point3::from((a.coords + b.coords + c.coords) / 3.0);
         let slope_m = depth_slope_m(self.camera, &center, &(b - a).cross(&(c - a)));
         let nearest_m = a.z.min(b.z).min(c.z);

@@ -7,10 +7,14 @@ use rayon::prelude::*;
 
 use crate::atlas::texels::for_each_texel_within;
 use crate::atlas::{AtlasLayout, TexelSource, TexturePage};
+use crate::geom::camera::CameraError;
 use crate::geom::{ImageError, PinholeCamera, RigidTransform};
 use crate::keyframe::DecodedFrame;
 use crate::mesh::{TriMesh, TriangleId};
-use crate::render::{DepthBound, Frustum, MeshRuns, PixelWindow, VisibilityBuffer, WindowFinder};
+use crate::render::{
+    DepthBound, Frustum, KeptView, MeshRuns, PixelWindow, ViewPoint, ViewScratch, VisibilityBuffer,
+    WindowFinder,
+};
 
 use super::super::assign::{FailedFrame, FramePose};
 use super::TransferReport;
@@ -53,6 +57,19 @@ struct Painted {
     texel: u32,
     srgb: [u8; 3],
     confidence: u8,
+}
+
+/// Scratch memory of [`Painter::paint_all`], worth keeping.
+#[derive(Debug, Default)]
+pub(crate) struct PaintBuffers {
+    of_group: Vec<Buffers>,
+}
+
+/// Scratch memory for a frame.
+#[derive(Clone, Debug, Default)]
+struct Buffers {
+    visibility: VisibilityBuffer,
+    scratch: ViewScratch,
 }
 
 /// What came of looking through one frame.
@@ -113,27 +130,35 @@ pub(crate) struct Painter<'a> {
 
 impl Painter<'_> {
     /// Paints what the job says and nothing else: texels of its triangles that nobody sees stay as
-    /// they are. Returns the means with what the frames added to them; they are written by
+    /// they are. `views` has, of the first frames, what is kept of the depths of those whose camera is
+    /// known, in buffers of the size that means use. Returns the means with what the frames added to them; they are written by
     /// [`MeanTexels::write`].
     pub(crate) fn paint_all(
         &self,
         mut job: PaintJob<'_>,
         frames: &[FramePose],
+        views: &mut [Option<KeptView>],
+        buffers: &mut PaintBuffers,
         decode: &(dyn Fn(usize) -> Result<Arc<DecodedFrame>, ImageError> + Sync),
         progress: &(dyn Fn(usize) + Sync),
         pages: &mut [TexturePage],
     ) -> (Vec<MeanJob>, TransferReport) {
         let mut report = TransferReport::default();
-        let mut buffers = vec![VisibilityBuffer::default(); GROUP_SIZE];
+        let buffers = &mut buffers.of_group;
+        buffers.resize_with(GROUP_SIZE, Buffers::default);
+        let mut nothing_kept = vec![None; GROUP_SIZE];
+        let mut views = views.chunks_mut(GROUP_SIZE);
         for (group_index, group) in frames.chunks(GROUP_SIZE).enumerate() {
             let first = group_index * GROUP_SIZE;
+            let kept = views.next().unwrap_or(&mut nothing_kept);
             let looks: Vec<Result<Option<FrameLook<'_>>, FailedFrame>> = group
                 .par_iter()
-                .zip(&mut buffers)
+                .zip(&mut *buffers)
+                .zip(kept)
                 .enumerate()
-                .map(|(offset, (pose, buffer))| {
+                .map(|(offset, ((pose, buffers), view))| {
                     let frame = first + offset;
-                    let look = self.look(pose, frame, &job, buffer, &|| decode(frame));
+                    let look = self.look(pose, frame, &job, buffers, view, &|| decode(frame));
                     progress(1);
                     look.map_err(|reason| FailedFrame {
                         #[expect(clippy::cast_possible_truncation, reason = "labels are u32")]
@@ -222,7 +247,8 @@ impl Painter<'_> {
         pose: &FramePose,
         index: usize,
         job: &PaintJob<'_>,
-        buffer: &'b mut VisibilityBuffer,
+        buffers: &'b mut Buffers,
+        view: &mut Option<KeptView>,
         decode: &dyn Fn() -> Result<Arc<DecodedFrame>, ImageError>,
     ) -> Result<Option<FrameLook<'b>>, String> {
         let triangles = &*job.by_frame[index];
@@ -247,20 +273,8 @@ impl Painter<'_> {
         let window = known_window.unwrap_or_else(|| self.window(job, index, &camera, &camera_pose));
         let mut visibility = None;
         if !window.is_empty() {
-            let params = &self.params.visibility;
-            let finder = WindowFinder::new(&camera, params);
-            let buffer_camera = finder.buffer_camera(&camera);
-            let frustum = Frustum::of_window(
-                &buffer_camera.map_err(|error| error.to_string())?,
-                camera_from_world,
-                params.far_m,
-                window,
-            );
-            let part = self.runs.in_frustum(&frustum);
-            buffer
-                .update_window(self.mesh, &part, &camera, camera_from_world, params, window)
-                .map_err(|error| error.to_string())?;
-            visibility = Some(&*buffer);
+            let drawn = self.draw(buffers, view, &camera, camera_from_world, window);
+            visibility = Some(drawn.map_err(|error| error.to_string())?);
         }
         let bound = visibility.map(VisibilityBuffer::depth_bound);
         let sight = self.sight(&camera, &camera_pose, bound);
@@ -293,6 +307,52 @@ impl Painter<'_> {
             visibility,
             painted,
         }))
+    }
+
+    /// What a frame sees in a window; from what is kept of its view, where something is.
+    fn draw<'b>(
+        &self,
+        buffers: &'b mut Buffers,
+        view: &mut Option<KeptView>,
+        camera: &PinholeCamera,
+        camera_from_world: &RigidTransform,
+        window: PixelWindow,
+    ) -> Result<&'b VisibilityBuffer, CameraError> {
+        let params = &self.params.visibility;
+        let own_camera = WindowFinder::new(camera, params).buffer_camera(camera)?;
+        let part_in = |window: PixelWindow| {
+            let far_m = params.far_m;
+            let frustum = Frustum::of_window(&own_camera, camera_from_world, far_m, window);
+            self.runs.in_frustum(&frustum)
+        };
+        let Buffers {
+            visibility,
+            scratch,
+        } = buffers;
+        match view {
+            Some(view) => {
+                let from = ViewPoint {
+                    camera: &own_camera,
+                    camera_from_world,
+                };
+                if !view.stale().is_empty() {
+                    view.redraw(self.mesh, &part_in(view.stale()), from, scratch);
+                }
+                visibility.load(view, camera, params, window)?;
+            }
+            None => {
+                let part = part_in(window);
+                visibility.update_window(
+                    self.mesh,
+                    &part,
+                    camera,
+                    camera_from_world,
+                    params,
+                    window,
+                )?;
+            }
+        }
+        Ok(visibility)
     }
 
     fn paint(
