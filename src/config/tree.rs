@@ -269,6 +269,8 @@ pub const PARAMETERS: &[Parameter] = &[
         Float(|c| &mut c.pipeline.stream.max_drift_m, 0.0, 10.0)),
     row("stream.remake_below_triangles", "", "Charts of fewer triangles beside changed surface are made anew with it.",
         Count(|c| &mut c.pipeline.stream.remake_below_triangles, 0, 1_000_000)),
+    row("stream.hysteresis", "", "How much better others must score before the frame of a triangle is given up for them; more than 0 makes labels depend on those before.",
+        Float32(|c| &mut c.pipeline.stream.hysteresis, 0.0, 100.0)),
     row("stream.view_cache_mb", "MB", "Memory for the depths that keyframes see, which are then not drawn anew in each update.",
         Float(|c| &mut c.pipeline.stream.view_cache_mb, 0.0, 1e6)),
     row("stream.max_new_keyframes", "", "New keyframes that an update takes in at most, those first that see most of what no frame paints yet; the others wait for the next update. 0 for no limit.",

@@ -18,7 +18,8 @@
 //!
 //! **Equality**: labels and texels are, to the last byte, what [`super::repaint`] makes of
 //! [`StreamInit::mesh`], [`StreamInit::layout`] and the same keyframes with [`super::Coupling::Chart`];
-//! the way there leaves its trace in the layout alone.
+//! the way there leaves its trace in the layout alone. With [`StreamParams::hysteresis`] it does in the
+//! labels too, which are then worth nearly as much; texels are what the labels say.
 //!
 //! The mesh is that of the caller with its vertices on a fine grid ([`DiffParams::quantum_m`]) and its
 //! triangles in the order of the charts. The density is fixed when the first triangle is seen, in
@@ -72,6 +73,10 @@ pub struct StreamParams {
     pub max_drift_m: f64,
     /// Charts of fewer triangles beside changed surface are made anew with it.
     pub remake_below_triangles: usize,
+    /// How much better others must score before a triangle's frame is given up for them (≥ 0). More than 0
+    /// makes labels depend on those before: those of a chart are then worth less than the best by at most
+    /// this times its triangles.
+    pub hysteresis: f32,
     /// Side of the pages, at most that of [`crate::atlas::PackParams`].
     pub page_size_texel: u32,
     /// Pages are compacted while charts hold less than this share of them, [0, 1].
@@ -88,6 +93,7 @@ impl Default for StreamParams {
             diff: DiffParams::default(),
             max_drift_m: 0.05,
             remake_below_triangles: 100,
+            hysteresis: 0.0,
             page_size_texel: 2048,
             min_used_share: 0.5,
             max_new_frames: 32,

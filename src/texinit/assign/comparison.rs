@@ -132,6 +132,43 @@ impl Comparison {
         }
     }
 
+    /// The labels of best total score found where one that stays as it was earns `bonus`: they are worth
+    /// less than those of [`Self::solve`] by at most `bonus` times the number of triangles.
+    pub(crate) fn solve_favouring(
+        &self,
+        before: &[Option<u32>],
+        bonus: f32,
+        adjacency: &[[u32; 2]],
+        params: &AssignParams,
+    ) -> Vec<Option<u32>> {
+        let favouring = Self {
+            ranked: self.ranked.favouring(before, bonus),
+            ..self.clone()
+        };
+        let value = |label: &[Option<u32>]| favouring.value_of(label, adjacency, params);
+        // The solver may miss the best: then what is best without the bonus is not given up for it.
+        let [steady, best] = [&favouring, self].map(|these| these.solve(adjacency, params));
+        if value(&steady) >= value(&best) {
+            steady
+        } else {
+            best
+        }
+    }
+
+    /// What labels earn together.
+    pub(crate) fn value_of(
+        &self,
+        label: &[Option<u32>],
+        adjacency: &[[u32; 2]],
+        params: &AssignParams,
+    ) -> f64 {
+        let weight = params
+            .pairwise
+            .as_ref()
+            .map_or(0.0, |pairwise| pairwise.weight);
+        self.ranked.value_of(label, adjacency, weight)
+    }
+
     /// Per triangle: its best resolved views' texels per metre.
     pub(super) fn texels_per_m(&self, area_m2: impl Fn(TriangleId) -> f64) -> Vec<f32> {
         let rows = self.resolutions.iter().zip(&self.num_views);

@@ -95,6 +95,44 @@ impl Ranked {
         self.num_choices[triangle] = 0;
     }
 
+    /// The same where a triangle's candidate of a given frame scores more by `bonus`.
+    pub(crate) fn favouring(&self, label: &[Option<u32>], bonus: f32) -> Self {
+        let mut ranked = self.clone();
+        for (triangle, frame) in label.iter().enumerate() {
+            let num = usize::from(self.num_choices[triangle]);
+            let slots = &mut ranked.choices[triangle * self.width..][..num];
+            let favoured = slots.iter().position(|choice| Some(choice.frame) == *frame);
+            if let Some(slot) = favoured {
+                slots[slot].score += bonus;
+                let before = slots.partition_point(|choice| choice.score > slots[slot].score);
+                slots[before.min(slot)..=slot].rotate_right(1);
+            }
+        }
+        ranked
+    }
+
+    /// What labels earn: scores, and `weight` for each pair of the same frame. A label that is no
+    /// candidate earns nothing.
+    pub(crate) fn value_of(
+        &self,
+        label: &[Option<u32>],
+        adjacency: &[[u32; 2]],
+        weight: f32,
+    ) -> f64 {
+        let score_of = |(triangle, frame): (usize, &Option<u32>)| {
+            let frame = (*frame)?;
+            let choice = self.of(triangle).iter().find(|c| c.frame == frame)?;
+            Some(f64::from(choice.score))
+        };
+        let scores: f64 = label.iter().enumerate().filter_map(score_of).sum();
+        let is_equal = |pair: &&[u32; 2]| {
+            let [a, b] = pair.map(|triangle| label[triangle as usize]);
+            a.is_some() && a == b
+        };
+        let num_equal = adjacency.iter().filter(is_equal).count();
+        scores + f64::from(weight) * num_equal as f64
+    }
+
     /// Adds the triangles of another ranking of the same width after its own.
     pub(crate) fn append(&mut self, mut other: Self) {
         self.choices.append(&mut other.choices);

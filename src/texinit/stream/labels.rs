@@ -105,12 +105,14 @@ impl KeptLabels {
     }
 
     /// Labels anew what has to be; what was assigned before, where something else is now. Triangles
-    /// are those of `mesh`, from `first` on.
+    /// are those of `mesh`, from `first` on. A label is given up for others only where they score more
+    /// than `hysteresis` better.
     pub(super) fn assign(
         &mut self,
         mesh: &TriMesh,
         first: TriangleId,
         params: &AssignParams,
+        hysteresis: f32,
         typical: TypicalQuality,
     ) -> Option<Assignment> {
         if !self.is_stale.contains(&true) {
@@ -128,10 +130,13 @@ impl KeptLabels {
             adjacency,
         } = compared;
         let has_others = comparison.renew(&self.table, &self.is_stale, params, typical);
-        let label = if has_others || is_new {
-            comparison.solve(adjacency, params)
+        let before = &self.assignment.label;
+        let label = if !has_others && !is_new {
+            before.clone()
+        } else if hysteresis > 0.0 && !is_new {
+            comparison.solve_favouring(before, hysteresis, adjacency, params)
         } else {
-            self.assignment.label.clone()
+            comparison.solve(adjacency, params)
         };
         let area_m2 = |triangle: TriangleId| mesh.area_m2(of_mesh(triangle.0));
         let now = self.table.assignment(comparison, label, adjacency, area_m2);
@@ -140,6 +145,19 @@ impl KeptLabels {
         let is_same = before.label == self.assignment.label
             && before.is_partly_hidden == self.assignment.is_partly_hidden;
         (!is_same).then_some(before)
+    }
+
+    /// By how much the labels are worth less than the best that are found; 0 before the first.
+    #[cfg(test)]
+    pub(super) fn shortfall(&self, params: &AssignParams) -> f64 {
+        self.compared.as_ref().map_or(0.0, |compared| {
+            let Compared {
+                comparison,
+                adjacency,
+            } = compared;
+            let value = |label: &[Option<u32>]| comparison.value_of(label, adjacency, params);
+            value(&comparison.solve(adjacency, params)) - value(&self.assignment.label)
+        })
     }
 
     /// Frames are held against another typical one: all are compared anew.

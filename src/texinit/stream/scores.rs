@@ -174,6 +174,7 @@ impl StreamInit {
         let is_shifted = typical != self.typical;
         self.typical = typical;
         let (mesh, params) = (&self.mesh, &self.params.assign);
+        let hysteresis = self.stream.hysteresis;
         self.charts
             .par_iter_mut()
             .map(|chart| {
@@ -181,7 +182,9 @@ impl StreamInit {
                 if is_shifted {
                     chart.labels.forget_comparison();
                 }
-                chart.labels.assign(mesh, first, params, typical)
+                chart
+                    .labels
+                    .assign(mesh, first, params, hysteresis, typical)
             })
             .collect()
     }

@@ -153,6 +153,63 @@ fn any_sequence_of_changes_gives_the_batch() {
     }
 }
 
+/// Texels are those that the state's own labels give.
+fn check_texels(state: &StreamInit, scan: &Scan, params: &TexInitParams) {
+    let frames = scan.frames();
+    let mut assignment = state.assignment();
+    for label in &mut assignment.label {
+        *label = label.map(|number| {
+            let index = frames.binary_search_by_key(&number, |frame| frame.id.0);
+            index.unwrap() as u32
+        });
+    }
+    let decode = |keyframe: &Keyframe| scan.decode(keyframe);
+    let (mesh, layout) = (state.mesh(), state.layout());
+    let painted =
+        crate::texinit::paint(mesh, layout, &assignment, &frames, &decode, params, &Silent);
+    assert_eq!(painted.unwrap().texture, *state.texture());
+}
+
+#[test]
+fn with_hysteresis_labels_change_less_and_are_worth_nearly_as_much() {
+    let params = texinit_params();
+    let num_changed_labels = |hysteresis: f32| -> (usize, f64) {
+        let by_seed = (500..530_u64).into_par_iter().map(|seed| {
+            let (mut scan, mut draw) = (Scan::new(seed), Draw(seed));
+            let stream = StreamParams {
+                hysteresis,
+                ..stream_params()
+            };
+            let mut state = StreamInit::new(&params, &stream).unwrap();
+            let (mut num_changed, mut most) = (0, 0.0_f64);
+            for _ in 0..6 {
+                scan.change(&mut draw);
+                let before: std::collections::BTreeMap<_, _> = state
+                    .charts
+                    .iter()
+                    .map(|chart| (chart.id, chart.labels.assignment().label.clone()))
+                    .collect();
+                update(&mut state, &scan);
+                check_texels(&state, &scan, &params);
+                for chart in &state.charts {
+                    let shortfall = chart.labels.shortfall(&params.assign);
+                    let bound = f64::from(hysteresis) * chart.len() as f64;
+                    assert!(shortfall <= bound + 1e-3, "{shortfall} of {bound}");
+                    most = most.max(shortfall);
+                    let label = &chart.labels.assignment().label;
+                    let before = before.get(&chart.id).into_iter().flatten();
+                    num_changed += before.zip(label).filter(|(b, a)| b != a).count();
+                }
+            }
+            (num_changed, most)
+        });
+        by_seed.reduce(|| (0, 0.0), |a, b| (a.0 + b.0, a.1.max(b.1)))
+    };
+    let [(none, exact), (some, near)] = [0.0, 0.5].map(num_changed_labels);
+    assert!(some < none, "{some} labels changed, {none} without");
+    assert!(exact == 0.0 && near > 0.0, "{exact}, {near}");
+}
+
 #[test]
 fn how_many_views_are_kept_changes_nothing() {
     let base = texinit_params();
