@@ -17,7 +17,6 @@
 )]
 
 use std::path::Path;
-use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
 use anyhow::{Context as _, bail};
@@ -26,8 +25,7 @@ use serde_json::{Value, json};
 use veneer::atlas::PlacedChart;
 use veneer::bag::BagReader;
 use veneer::config::Config;
-use veneer::geom::ImageError;
-use veneer::keyframe::{DecodedFrame, Keyframe, LensCache};
+use veneer::keyframe::{Keyframe, KeyframeParams, KeyframeStore};
 use veneer::mesh::TriMesh;
 use veneer::pipeline::{NoProgress, Run, run};
 use veneer::texsmooth::{
@@ -67,28 +65,6 @@ impl Options {
     }
 }
 
-/// Photos that were decoded, all of them.
-struct Photos {
-    lenses: LensCache,
-    known: Mutex<Vec<Option<Arc<DecodedFrame>>>>,
-}
-
-impl Photos {
-    fn decode(&self, keyframe: &Keyframe) -> Result<Arc<DecodedFrame>, ImageError> {
-        let index = keyframe.id.0 as usize;
-        let mut known = self.known.lock().unwrap_or_else(|held| held.into_inner());
-        if known.len() <= index {
-            known.resize(index + 1, None);
-        }
-        if let Some(frame) = &known[index] {
-            return Ok(frame.clone());
-        }
-        let frame = Arc::new(DecodedFrame::decode(keyframe, &self.lenses)?);
-        known[index] = Some(frame.clone());
-        Ok(frame)
-    }
-}
-
 fn main() -> anyhow::Result<()> {
     let options = Options::parse()?;
     let params = &options.config.pipeline.texsmooth;
@@ -96,14 +72,15 @@ fn main() -> anyhow::Result<()> {
     painting.texsmooth.num_steps = 0;
     let mut source = BagReader::open(Path::new(&options.bag), &options.config.topics)?;
     let painted = run(&mut source, &painting, &NoProgress)?;
-    let photos = Photos {
-        lenses: LensCache::default(),
-        known: Mutex::default(),
-    };
-    for keyframe in &painted.keyframes {
-        photos.decode(keyframe)?;
-    }
+    // Photos that were decoded stay decoded.
+    let photos = KeyframeStore::new(&KeyframeParams {
+        decode_cache_mb: 1e6,
+        ..KeyframeParams::default()
+    });
     let decode = |keyframe: &Keyframe| photos.decode(keyframe);
+    for keyframe in &painted.keyframes {
+        decode(keyframe)?;
+    }
     let scene = SmoothScene {
         mesh: &painted.mesh,
         layout: &painted.texinit.layout,

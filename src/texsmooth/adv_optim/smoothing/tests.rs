@@ -342,6 +342,7 @@ fn neither_pieces_nor_threads_change_a_byte() {
         (texture, report.critic, report.curve, report.num_texels)
     };
     let one = run(1, 9);
+    assert!(is_changed_in(&wall, &one.0, &[MIDDLE]));
     assert!(one == run(4, 9), "threads");
     assert!(one == run(2, 2), "pieces");
 }
@@ -420,8 +421,10 @@ fn a_checkpoint_is_gone_on_with_for_the_same_charts_alone() {
         let from = SmoothFrom::Checkpoint(&bytes);
         Smoothing::of_charts(&wall.scene(), &wall.texture, &flags(charts), &params, from)
     };
-    let refused = resume(&[0]).err().unwrap();
-    assert!(matches!(refused, SmoothError::Checkpoint(_)), "{refused}");
+    for charts in [&[0][..], &[0, MIDDLE]] {
+        let refused = resume(charts).err().unwrap();
+        assert!(matches!(refused, SmoothError::Checkpoint(_)), "{refused}");
+    }
     let mut texture = wall.texture.clone();
     resume(&[MIDDLE])
         .unwrap()
