@@ -159,8 +159,8 @@ fn part(
     let report = smoothing.finish(&NoObserver)?;
     let steps_ms: f64 = piece_ms.iter().sum();
     piece_ms.sort_by(f64::total_cmp);
-    let at = |share: f64| piece_ms.get((share * piece_ms.len() as f64) as usize);
-    let [median, most] = [at(0.5), piece_ms.last()].map(|ms| ms.copied().map(rounded));
+    let (median, most) = (piece_ms.get(piece_ms.len() / 2), piece_ms.last());
+    let [median, most] = [median, most].map(|ms| ms.copied().map(rounded));
     Ok(json!({
         "form": "part",
         "charts": [num_chosen, charts.len()],

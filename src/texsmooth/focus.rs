@@ -86,7 +86,7 @@ fn spread(mesh: &TriMesh, layout: &AtlasLayout, may_change: &[bool]) -> Vec<Piec
         let chart_m2 = area_m2(triangles);
         let num_pieces = (NUM_POINTS * chart_m2 / all_m2).ceil();
         let piece_m2 = chart_m2 / num_pieces;
-        if !(piece_m2 > 0.0) {
+        if piece_m2.is_nan() || piece_m2 <= 0.0 {
             continue;
         }
         let (mut passed_m2, mut next_m2) = (0.0, 0.5 * piece_m2);
