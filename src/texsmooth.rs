@@ -10,12 +10,16 @@
 //! 5. the texture goes down the gradient of λ · L1 − log D(rendering), by Adam; a pixel counts by how much
 //!    of the texture it resolves, and more where its own photo was painted.
 //!
+//! [`smooth`] does all of it at once for the whole texture; [`Smoothing`] does it in pieces, and only
+//! for the charts that a scan has changed.
+//!
 //! Colours are sRGB in [−1, 1]. The same seed gives the same bits for any number of threads.
 
 pub mod adv_optim;
 pub mod align;
 pub mod checkpoint;
 pub mod discriminator;
+mod focus;
 mod loss_curve;
 mod offsets;
 mod params;
@@ -31,7 +35,8 @@ use crate::keyframe::{DecodedFrame, Keyframe};
 
 pub use crate::render::Backend;
 pub use adv_optim::{
-    NoObserver, Observer, SmoothError, SmoothFrom, SmoothReport, StepLosses, StepProgress, smooth,
+    NoObserver, Observer, SmoothError, SmoothFrom, SmoothReport, SmoothScene, Smoothing,
+    StepLosses, StepProgress, smooth,
 };
 pub use offsets::OffsetReport;
 pub use params::{L1Target, PartnerOffset, PartnerRule, SmoothStart, TexSmoothParams};

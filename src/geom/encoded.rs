@@ -216,7 +216,17 @@ impl EncodedColor {
         if self.encoding.is_file() {
             return Ok(self.clone());
         }
-        Self::png_from_image(&self.decode()?)
+        let size = [self.width, self.height];
+        let num_bytes = self.width as usize * self.height as usize * 3;
+        // Pixels that lie there as the encoder wants them need no copy.
+        let has_padding = self.row_bytes as usize != self.width as usize * 3;
+        let file = match self.bytes.get(..num_bytes) {
+            Some(rgb) if self.encoding == ColorEncoding::Rgb8 && !has_padding => {
+                file_codec::encode_photo_png(size, rgb)?
+            }
+            _ => file_codec::encode_photo_png(size, self.decode()?.pixels().as_flattened())?,
+        };
+        Ok(Self::png(size, file))
     }
 
     /// A PNG of a decoded image.
@@ -231,13 +241,17 @@ impl EncodedColor {
             png::ColorType::Rgb,
             png::BitDepth::Eight,
         )?;
-        Ok(Self {
+        Ok(Self::png(size, bytes))
+    }
+
+    fn png([width, height]: [u32; 2], file: Vec<u8>) -> Self {
+        Self {
             encoding: ColorEncoding::Png,
-            width: image.width(),
-            height: image.height(),
+            width,
+            height,
             row_bytes: 0,
-            bytes: bytes.into(),
-        })
+            bytes: file.into(),
+        }
     }
 
     /// How the bytes are laid out.

@@ -109,16 +109,34 @@ pub(crate) fn decode_png_grey16(bytes: &[u8], size: [u32; 2]) -> Result<Vec<u16>
 
 /// A PNG at the fast level (the slower ones take seconds for an atlas page).
 pub(crate) fn encode_png(
+    size: [u32; 2],
+    samples: &[u8],
+    color: png::ColorType,
+    depth: png::BitDepth,
+) -> Result<Vec<u8>, ImageError> {
+    encode_png_filtered(size, samples, color, depth, png::Filter::Adaptive)
+}
+
+/// The same of a photo's RGB, each row filtered by Paeth's predictor: trying all filters on each row
+/// chooses it nearly always, and takes an eighth more time.
+pub(crate) fn encode_photo_png(size: [u32; 2], rgb: &[u8]) -> Result<Vec<u8>, ImageError> {
+    let (color, depth) = (png::ColorType::Rgb, png::BitDepth::Eight);
+    encode_png_filtered(size, rgb, color, depth, png::Filter::Paeth)
+}
+
+fn encode_png_filtered(
     [width, height]: [u32; 2],
     samples: &[u8],
     color: png::ColorType,
     depth: png::BitDepth,
+    filter: png::Filter,
 ) -> Result<Vec<u8>, ImageError> {
     let mut bytes = Vec::new();
     let mut encoder = png::Encoder::new(&mut bytes, width, height);
     encoder.set_color(color);
     encoder.set_depth(depth);
     encoder.set_compression(png::Compression::Fast);
+    encoder.set_filter(filter);
     let mut writer = encoder.write_header().map_err(|e| codec_error("png", e))?;
     writer
         .write_image_data(samples)

@@ -196,6 +196,19 @@ mod tests {
     }
 
     #[test]
+    fn an_info_from_before_all_others_leaves_none_of_them() {
+        let mut matcher = InfoMatcher::new(3);
+        let mut out = Vec::new();
+        for ns in [100, 101, 102] {
+            matcher.push_info(Stamp::from_nanos(ns), camera(7.0), &mut out);
+        }
+        matcher.push_info(Stamp::from_nanos(5), camera(9.0), &mut out);
+        matcher.push_image(image(90), &mut out);
+        matcher.flush(&mut out);
+        assert_eq!(known(&out), [(90, 9.0, false)]);
+    }
+
+    #[test]
     fn without_info_the_queue_is_bounded_and_the_oldest_goes_without() {
         let mut matcher = InfoMatcher::new(3);
         let mut out = Vec::new();

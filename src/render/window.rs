@@ -141,7 +141,13 @@ impl WindowFinder {
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::Point3;
+
     use super::*;
+    use crate::geom::RigidTransform;
+    use crate::mesh::TriMesh;
+    use crate::render::part::MeshPart;
+    use crate::render::visibility::{SurfacePoint, VisibilityBuffer};
 
     fn finder() -> WindowFinder {
         // The buffer has half the camera's size and a margin of 3 px.
@@ -169,5 +175,54 @@ mod tests {
         assert!(finder.window().is_empty());
         finder.include(Some([[f64::NAN, 0.0], [0.0, 0.0], [0.0, 0.0]]));
         assert_eq!(finder.window(), finder.whole());
+    }
+
+    /// A board of 20 px of the view before a wall, and points of the wall beside each of its edges: as
+    /// far as the margin reaches, an edge is drawn wherever windows happen to begin and end.
+    #[test]
+    fn the_edge_beside_a_point_is_in_its_window() {
+        let quad = |half: f64, z: f64| {
+            [[-half, -half], [half, -half], [half, half], [-half, half]]
+                .map(|[x, y]| Point3::new(x, y, z))
+        };
+        let positions = quad(9.0, 3.0).into_iter().chain(quad(0.2, 2.0)).collect();
+        let triangles = vec![[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]];
+        let (mesh, _) = TriMesh::from_soup(positions, triangles).unwrap();
+        let (params, here) = (VisibilityParams::default(), RigidTransform::identity());
+        let part = MeshPart::whole(&mesh);
+        let [mut whole, mut narrow] = [(); 2].map(|()| VisibilityBuffer::default());
+        let mut num_near = 0;
+        for shift in 0..GRID_PX {
+            let center_px = [312.0, 28.0].map(|px| px + f64::from(shift));
+            let [cx, cy] = center_px;
+            let camera = PinholeCamera::new([100.0, 100.0, cx, cy], 640, 72).unwrap();
+            whole.update(&mesh, &camera, &here, &params).unwrap();
+            for gap_px in [0.6, 1.6, 2.6, 3.4, 4.4, 5.4] {
+                for [x, y] in [[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]] {
+                    let out_px = 10.0 + gap_px;
+                    let at = [cx + x * out_px, cy + y * out_px];
+                    let corners_px = [[0.0, 0.0], [x, y], [x + y, y + x]]
+                        .map(|step: [f64; 2]| [0, 1].map(|axis| at[axis] + 0.2 * step[axis]));
+                    let mut finder = WindowFinder::new(&camera, &params);
+                    finder.include(Some(corners_px));
+                    let window = finder.window();
+                    narrow
+                        .update_window(&mesh, &part, &camera, &here, &params, window)
+                        .unwrap();
+                    for position_px in corners_px {
+                        let point = SurfacePoint {
+                            position_px,
+                            depth_m: 3.0,
+                            slope_m: 0.0,
+                        };
+                        let is_near = whole.is_near_depth_edge(&point);
+                        let found = narrow.is_near_depth_edge(&point);
+                        assert_eq!(found, is_near, "{gap_px} px beside the edge, {window:?}");
+                        num_near += u32::from(is_near);
+                    }
+                }
+            }
+        }
+        assert!(num_near > 400, "{num_near}");
     }
 }

@@ -11,27 +11,25 @@
 //! photo, projection and rendering are all −1, and neither loss counts it.
 
 mod crop;
+mod draw;
 mod partner;
+mod smoothing;
 mod step;
 
 use std::sync::Arc;
-use std::time::Instant;
 
 use super::align::AlignError;
-use super::checkpoint::{self, CheckpointError};
-use super::discriminator::{self, CriticError};
-use super::loss_curve::RunningMeans;
-use super::offsets::{OffsetReport, Offsets};
-use super::texels::Texels;
-use super::view::Surface;
-use super::views::{Views, partners};
-use super::{Decode, SmoothStart, TexSmoothParams};
+use super::checkpoint::CheckpointError;
+use super::discriminator::CriticError;
+use super::offsets::OffsetReport;
+use super::{Decode, TexSmoothParams};
 use crate::atlas::{AtlasLayout, AtlasTexture, TextureMismatch};
 use crate::geom::ColorImage;
 use crate::keyframe::Keyframe;
 use crate::mesh::TriMesh;
-use crate::render::{GpuError, ViewRasterizer};
-use step::Optimisation;
+use crate::render::GpuError;
+
+pub use smoothing::{SmoothScene, Smoothing};
 
 /// Why the texture was not refined.
 #[derive(Debug, thiserror::Error)]
@@ -46,6 +44,20 @@ pub enum SmoothError {
         num_triangles: usize,
         /// Triangles of the layout.
         num_in_layout: usize,
+    },
+    /// Which charts may change is said of another layout.
+    #[error("{num_flags} charts may change or not, the layout has {num_charts}")]
+    Charts {
+        /// How many charts it is said of.
+        num_flags: usize,
+        /// Charts of the layout.
+        num_charts: usize,
+    },
+    /// The scene is not the one that the refinement was begun on.
+    #[error("the {what} changed since the refinement of some charts was begun")]
+    Changed {
+        /// What differs.
+        what: &'static str,
     },
     /// There are more texels than addresses.
     #[error("the atlas has more than 2^32 texels in tiles of 64")]
@@ -135,6 +147,8 @@ pub struct SmoothReport {
     pub num_self_partnered: usize,
     /// Frames that did not decode; their steps were left out.
     pub num_undecodable: usize,
+    /// Views that were drawn from; where only some charts may change, those that may show them.
+    pub num_views: usize,
     /// Steps whose discriminator loss counted.
     pub num_critic_steps: usize,
     /// Mean losses by stretches of a hundredth of the run.
@@ -151,7 +165,7 @@ pub struct SmoothReport {
     pub is_cut_short: bool,
     /// The discriminator as it was at the end, for [`SmoothFrom::Critic`].
     pub critic: Vec<u8>,
-    /// Wall time of this call, seconds.
+    /// Wall time that it took here, seconds; what it took before a checkpoint is not known.
     pub seconds: f64,
 }
 
@@ -174,131 +188,15 @@ pub fn smooth(
     from: SmoothFrom<'_>,
     observer: &dyn Observer,
 ) -> Result<SmoothReport, SmoothError> {
-    texture.check_fits(layout)?;
-    if layout.corners_texel.len() != mesh.num_triangles() {
-        return Err(SmoothError::Layout {
-            num_triangles: mesh.num_triangles(),
-            num_in_layout: layout.corners_texel.len(),
-        });
-    }
-    let begun = Instant::now();
-    let on = Surface { mesh, layout };
-    let mut run = prepare(on, texture, frames, decode, params, from)?;
-    let first_step = run.report.num_steps;
-    let mut means = RunningMeans::new(params.num_steps);
-    if !frames.is_empty() {
-        for step in first_step..params.num_steps {
-            let is_late =
-                params.time_budget_s > 0.0 && begun.elapsed().as_secs_f64() >= params.time_budget_s;
-            if is_late {
-                run.report.is_cut_short = true;
-                break;
-            }
-            let losses = run.step(step)?;
-            let num_done = step + 1;
-            run.report.num_steps = num_done;
-            if let Some(losses) = losses {
-                means.add(num_done, &losses);
-            }
-            observer.step(&StepProgress {
-                num_done,
-                num_steps: params.num_steps,
-                losses: means.recent,
-                lambda: params.lambda_at(step),
-            });
-            let is_due = |interval: usize| interval > 0 && num_done.is_multiple_of(interval);
-            if is_due(params.preview_interval)
-                && let Some(image) = run.preview()
-            {
-                observer.preview(num_done, &image);
-            }
-            if is_due(params.checkpoint_interval) {
-                observer.checkpoint(num_done, &run.checkpoint()?);
-            }
-        }
-    }
-
-    let mut report = std::mem::take(&mut run.report);
-    if params.checkpoint_interval > 0
-        && !report.num_steps.is_multiple_of(params.checkpoint_interval)
-    {
-        observer.checkpoint(report.num_steps, &run.checkpoint_at(report.num_steps)?);
-    }
-    if let Some(critic) = &run.critic {
-        report.critic = critic.save()?;
-    }
-    report.curve = means.curve();
-    let written = run.texels.write_back(texture);
-    report.num_texels = written.num_texels;
-    report.num_steps_per_texel = written.num_steps as f64 / written.num_texels.max(1) as f64;
-    report.offsets = run.offsets.report();
-    report.seconds = begun.elapsed().as_secs_f64();
-    Ok(report)
-}
-
-/// The state before the first step, or as a checkpoint has it.
-fn prepare<'a>(
-    on: Surface<'a>,
-    texture: &AtlasTexture,
-    frames: &'a [Arc<Keyframe>],
-    decode: &'a Decode<'a>,
-    params: &'a TexSmoothParams,
-    from: SmoothFrom<'_>,
-) -> Result<Optimisation<'a>, SmoothError> {
-    let mut texels = Texels::from_texture(texture).ok_or(SmoothError::TooManyTexels)?;
-    if params.start == SmoothStart::Blank {
-        texels.fill(0.0);
-    }
-    let mut first_step = 0;
-    let mut known_critic = match from {
-        SmoothFrom::Critic(bytes) => Some(bytes.to_vec()),
-        _ => None,
-    };
-    if let SmoothFrom::Checkpoint(bytes) = from {
-        let saved = checkpoint::read(bytes, &mut texels)?;
-        first_step = saved.num_steps;
-        known_critic = Some(saved.critic);
-    }
-    let rasterizer = ViewRasterizer::new(params.backend)?;
-    let (critic, backend) = if params.has_discriminator {
-        let known = known_critic.as_deref();
-        let made = discriminator::make(&rasterizer, &params.discriminator, params.seed, known)?;
-        (Some(made), rasterizer.device_name())
-    } else {
-        (None, "none")
-    };
-
-    let budget_bytes = (params.view_cache_mb.max(0.0) * 1e6).min(1e15);
-    #[expect(
-        clippy::cast_possible_truncation,
-        clippy::cast_sign_loss,
-        reason = "clamped above"
-    )]
-    let views = Views::new(
-        rasterizer.load(on.mesh)?,
+    let scene = SmoothScene {
+        mesh,
+        layout,
         frames,
         decode,
-        budget_bytes as usize,
-    );
-    Ok(Optimisation {
-        params,
-        on,
-        texels,
-        critic,
-        offsets: Offsets::new(
-            params.align,
-            params.align_grid,
-            params.align_interval,
-            frames.len(),
-        ),
-        partners: partners(frames, params.max_partner_angle_rad, params.partner_rule),
-        views,
-        report: SmoothReport {
-            num_steps: first_step,
-            backend: backend.to_owned(),
-            ..SmoothReport::default()
-        },
-    })
+    };
+    let mut smoothing = Smoothing::of_all(&scene, texture, params, from)?;
+    smoothing.advance_whole(&scene, texture, observer)?;
+    smoothing.finish(observer)
 }
 
 #[cfg(test)]

@@ -3,7 +3,8 @@
 //! Little endian: magic and version; steps done; the discriminator's own bytes; per tile of the
 //! atlas a kind (0 no step made, 1 stepped) and, of stepped ones, values, moments and counts. What no
 //! step touched is the texture's own and is not written. A checkpoint belongs to one layout and
-//! texture: the number of tiles and a hash of the untouched texels' pattern are checked.
+//! texture, and to the charts that may change: the number of tiles and a hash of the pattern of texels
+//! that are painted and may change are checked.
 
 use super::texels::{Moments, TILE_TEXEL, Texels};
 
@@ -94,6 +95,7 @@ pub(super) fn read(bytes: &[u8], texels: &mut Texels) -> Result<Saved, Checkpoin
                     first: reader.colors()?,
                     second: reader.colors()?,
                     num_steps: reader.counts()?,
+                    is_unwritten: true,
                 }));
             }
             _ => return Err(CheckpointError::Damaged(reader.at)),
@@ -105,13 +107,14 @@ pub(super) fn read(bytes: &[u8], texels: &mut Texels) -> Result<Saved, Checkpoin
     Ok(Saved { num_steps, critic })
 }
 
-/// Which texels are painted, as a hash (FNV-1a).
+/// Which texels are painted and may change, as a hash (FNV-1a).
 fn pattern(texels: &Texels) -> u64 {
     let mut hash = 0xcbf2_9ce4_8422_2325_u64;
     let mut add = |bit: bool| hash = (hash ^ u64::from(bit)).wrapping_mul(0x0100_0000_01b3);
     for tile in &texels.tiles {
         add(tile.value.is_empty());
         tile.value.iter().for_each(|value| add(value[0].is_nan()));
+        tile.is_fixed.iter().for_each(|&is_fixed| add(is_fixed));
     }
     hash
 }

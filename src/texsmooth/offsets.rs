@@ -95,7 +95,7 @@ impl Offsets {
         };
         let surface = seen.view.surface(on, texels, rect, factor, [0.0; 2]);
         let mut render = vec![0.0; 3 * rect.num_pixels()];
-        texels.gather(&surface.footprint, &mut render);
+        texels.gather(on.texture, &surface.footprint, &mut render);
         let mask: Vec<bool> = surface.footprint.iter().map(|f| f.is_some()).collect();
         #[expect(
             clippy::cast_possible_truncation,

@@ -10,6 +10,8 @@ pub(super) enum Purpose {
     Partner,
     CropX,
     CropY,
+    /// A pixel that the crop shows.
+    Pixel,
 }
 
 /// The draws of one step.
@@ -22,6 +24,15 @@ pub(super) struct StepDraws {
 impl StepDraws {
     pub(super) fn new(seed: u64, step: u64) -> Self {
         Self { seed, step }
+    }
+
+    /// Draws of the same step, for another attempt at it; attempt 0 draws what there were.
+    pub(super) fn again(self, attempt: u64) -> Self {
+        let seed = match attempt {
+            0 => self.seed,
+            _ => mix(self.seed ^ mix(attempt)),
+        };
+        Self { seed, ..self }
     }
 
     /// Uniform in `0..num`; 0 for none.
@@ -58,5 +69,11 @@ mod tests {
         backward.reverse();
         assert_eq!(forward, backward);
         assert_eq!(StepDraws::new(1, 1).below(Purpose::View, 0), 0);
+        let attempt = |n| StepDraws::new(3, 5).again(n).below(Purpose::View, 1 << 40);
+        assert_eq!(
+            attempt(0),
+            StepDraws::new(3, 5).below(Purpose::View, 1 << 40)
+        );
+        assert!(attempt(0) != attempt(1) && attempt(1) != attempt(2));
     }
 }

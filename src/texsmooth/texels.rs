@@ -4,6 +4,9 @@
 //! Tiles are 64×64; one without a painted texel has no memory, and moments come with a tile's first
 //! step, so that what is not seen costs nothing. Texel centres are at halves.
 //!
+//! Where only some charts may change, tiles without a texel of theirs have no memory either: lookups
+//! there read the texture itself, and no step reaches them.
+//!
 //! * [`Texels::footprint`] and [`Texels::gather`]: the bilinear lookup at a position of a page, over
 //!   the painted ones of the four texels around it.
 //! * [`Texels::step`]: its transpose, and a step of Adam (Kingma and Ba 2015) on the texels that
@@ -11,16 +14,18 @@
 //!   binned by tile in the order of the pixels, and each tile adds up its own in that order: the same
 //!   bits for any thread count.
 
+mod bins;
+
 use rayon::prelude::*;
 
-use crate::atlas::{AtlasTexture, TexelSource};
+use crate::atlas::{AtlasLayout, AtlasTexture, TexelSource};
+use bins::{Bins, scatter};
 
 /// Texels along the side of a tile.
 pub(super) const TILE_TEXEL: usize = 64;
 const TILE_AREA: usize = TILE_TEXEL * TILE_TEXEL;
 /// Pixels to a parallel piece of the lookup.
 const CHUNK_PIXELS: usize = 4096;
-const NO_SLOT: u32 = u32::MAX;
 
 /// A texel: its tile among all tiles of all pages, and its place in the tile.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -67,10 +72,12 @@ const EPSILON: f32 = 1e-8;
 
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Tile {
-    /// NaN where nothing is painted; empty when that is everywhere.
+    /// NaN where nothing is painted; empty when that is everywhere, or when no texel may change.
     pub(super) value: Vec<[f32; 3]>,
-    /// Where the value came from before the first step; empty when nothing is painted.
+    /// Where the value came from before the first step; as long as [`Self::value`].
     source: Vec<TexelSource>,
+    /// Which texels must not change; empty when all may.
+    pub(super) is_fixed: Vec<bool>,
     pub(super) moments: Option<Box<Moments>>,
 }
 
@@ -80,6 +87,8 @@ pub(super) struct Moments {
     pub(super) second: Vec<[f32; 3]>,
     /// Steps that each texel has made.
     pub(super) num_steps: Vec<u16>,
+    /// Whether there were any since the tile was written to the texture.
+    pub(super) is_unwritten: bool,
 }
 
 impl Moments {
@@ -88,6 +97,7 @@ impl Moments {
             first: vec![[0.0; 3]; TILE_AREA],
             second: vec![[0.0; 3]; TILE_AREA],
             num_steps: vec![0; TILE_AREA],
+            is_unwritten: false,
         }
     }
 }
@@ -106,6 +116,41 @@ struct Page {
     first_tile: usize,
 }
 
+impl Page {
+    fn tile(&self, x: usize, y: usize) -> usize {
+        self.first_tile + y / TILE_TEXEL * self.tile_columns + x / TILE_TEXEL
+    }
+
+    /// The first column and row of a tile.
+    fn corner(&self, tile: usize) -> [usize; 2] {
+        let tile = tile - self.first_tile;
+        [tile % self.tile_columns, tile / self.tile_columns].map(|t| t * TILE_TEXEL)
+    }
+
+    /// The index of a texel on the page.
+    fn index(&self, address: TexelAddress) -> usize {
+        let [x, y] = self.corner(address.tile());
+        let place = address.place();
+        (y + place / TILE_TEXEL) * self.size_texel[0] + x + place % TILE_TEXEL
+    }
+
+    /// Calls with the place in the tile and the index on the page of each texel of a tile.
+    fn for_each_place(&self, tile: usize, mut call: impl FnMut(usize, usize)) {
+        let [width, height] = self.size_texel;
+        let corner = self.corner(tile);
+        for y in corner[1]..height.min(corner[1] + TILE_TEXEL) {
+            for x in corner[0]..width.min(corner[0] + TILE_TEXEL) {
+                call(place_of(x, y), y * width + x);
+            }
+        }
+    }
+}
+
+/// The place of a texel in its tile.
+fn place_of(x: usize, y: usize) -> usize {
+    y % TILE_TEXEL * TILE_TEXEL + x % TILE_TEXEL
+}
+
 /// See the module.
 #[derive(Clone, Debug)]
 pub(super) struct Texels {
@@ -114,115 +159,115 @@ pub(super) struct Texels {
     bins: Bins,
 }
 
-/// Contributions of pixels by tile: workspace of [`Texels::step`].
-#[derive(Clone, Debug, Default)]
-struct Bins {
-    /// Per tile: its bin, or [`NO_SLOT`].
-    slot_of_tile: Vec<u32>,
-    /// Per bin: its tile and how many contributions it has.
-    touched: Vec<(usize, usize)>,
-    /// Per bin: where it begins; one more for the end.
-    begin: Vec<usize>,
-    /// Pixel · 4 + corner, bin by bin.
-    entry: Vec<u32>,
-}
-
 impl Texels {
     /// The painted texels of an atlas; `None` when it has more than 2³² texels.
     pub(super) fn from_texture(texture: &AtlasTexture) -> Option<Self> {
+        Self::new(texture, None)
+    }
+
+    /// The same where only the texels that some charts own may change, gutters included.
+    pub(super) fn of_charts(
+        texture: &AtlasTexture,
+        layout: &AtlasLayout,
+        may_change: &[bool],
+    ) -> Option<Self> {
+        Self::new(texture, Some((layout, may_change)))
+    }
+
+    fn new(texture: &AtlasTexture, part: Option<(&AtlasLayout, &[bool])>) -> Option<Self> {
         let mut pages = Vec::with_capacity(texture.pages.len());
-        let mut tiles = Vec::new();
+        let mut num_tiles = 0;
         for page in &texture.pages {
             let size_texel = [page.width as usize, page.height as usize];
             let tile_columns = size_texel[0].div_ceil(TILE_TEXEL);
-            let first_tile = tiles.len();
-            let num_tiles = tile_columns * size_texel[1].div_ceil(TILE_TEXEL);
-            let made: Vec<Tile> = (0..num_tiles)
-                .into_par_iter()
-                .map(|tile| {
-                    let corner = [tile % tile_columns, tile / tile_columns].map(|t| t * TILE_TEXEL);
-                    let mut value = vec![[f32::NAN; 3]; TILE_AREA];
-                    let mut source = vec![TexelSource::NONE; TILE_AREA];
-                    let mut is_painted = false;
-                    for_each_place(corner, size_texel, |place, index| {
-                        if page.source[index] != TexelSource::NONE {
-                            value[place] = page.srgb[index].map(from_byte);
-                            source[place] = page.source[index];
-                            is_painted = true;
-                        }
-                    });
-                    if !is_painted {
-                        return Tile::default();
-                    }
-                    Tile {
-                        value,
-                        source,
-                        moments: None,
-                    }
-                })
-                .collect();
-            tiles.extend(made);
             pages.push(Page {
                 size_texel,
                 tile_columns,
-                first_tile,
+                first_tile: num_tiles,
             });
+            num_tiles += tile_columns * size_texel[1].div_ceil(TILE_TEXEL);
         }
-        if tiles.len() > u32::MAX as usize / TILE_AREA {
+        if num_tiles > u32::MAX as usize / TILE_AREA {
             return None;
         }
-        let bins = Bins {
-            slot_of_tile: vec![NO_SLOT; tiles.len()],
-            ..Bins::default()
+        let marks = part.map(|(layout, may_change)| {
+            let mut marks = vec![Vec::new(); num_tiles];
+            mark_fixed(&pages, layout, may_change, &mut marks);
+            marks
+        });
+        let of_tile = |tile: usize| {
+            let is_fixed = match &marks {
+                Some(marks) if marks[tile].is_empty() => return Tile::default(),
+                Some(marks) if marks[tile].contains(&true) => marks[tile].clone(),
+                _ => Vec::new(),
+            };
+            Tile::new(texture, &pages, tile, is_fixed)
         };
-        Some(Self { pages, tiles, bins })
+        let tiles = (0..num_tiles).into_par_iter().map(of_tile).collect();
+        Some(Self {
+            pages,
+            tiles,
+            bins: Bins::new(num_tiles),
+        })
     }
 
     /// Writes the texels that have made a step, clamped; the others stay byte for byte.
-    pub(super) fn write_back(&self, texture: &mut AtlasTexture) -> TexelSteps {
-        let mut written = TexelSteps::default();
-        for (page, target) in self.pages.iter().zip(&mut texture.pages) {
-            let num_rows = page.size_texel[1].div_ceil(TILE_TEXEL);
-            for tile_index in 0..page.tile_columns * num_rows {
-                let tile = &self.tiles[page.first_tile + tile_index];
-                let Some(moments) = &tile.moments else {
-                    continue;
-                };
-                let corner = [
-                    tile_index % page.tile_columns,
-                    tile_index / page.tile_columns,
-                ]
-                .map(|t| t * TILE_TEXEL);
-                for_each_place(corner, page.size_texel, |place, index| {
-                    if moments.num_steps[place] > 0 {
-                        target.srgb[index] = tile.value[place].map(to_byte);
-                        written.num_texels += 1;
-                        written.num_steps += u64::from(moments.num_steps[place]);
-                    }
-                });
+    pub(super) fn write_back(&mut self, texture: &mut AtlasTexture) {
+        for (index, tile) in self.tiles.iter_mut().enumerate() {
+            let Some(moments) = &mut tile.moments else {
+                continue;
+            };
+            if !std::mem::take(&mut moments.is_unwritten) {
+                continue;
             }
+            let (number, page) = page_of(&self.pages, index);
+            let target = &mut texture.pages[number].srgb;
+            page.for_each_place(index, |place, index| {
+                if moments.num_steps[place] > 0 {
+                    target[index] = tile.value[place].map(to_byte);
+                }
+            });
         }
-        written
     }
 
-    /// Sets every painted texel to one value, as if nothing had been painted (AdvTex-B).
+    /// Steps that were made.
+    pub(super) fn steps_made(&self) -> TexelSteps {
+        let moments = self.tiles.iter().filter_map(|tile| tile.moments.as_ref());
+        let counts = moments.flat_map(|moments| &moments.num_steps);
+        counts.fold(TexelSteps::default(), |made, &num| TexelSteps {
+            num_texels: made.num_texels + u64::from(num > 0),
+            num_steps: made.num_steps + u64::from(num),
+        })
+    }
+
+    /// Sets every painted texel that may change to one value, as if nothing had been painted
+    /// (AdvTex-B).
     pub(super) fn fill(&mut self, value: f32) {
-        for texel in self.tiles.iter_mut().flat_map(|tile| &mut tile.value) {
-            if !texel[0].is_nan() {
-                *texel = [value; 3];
+        for tile in &mut self.tiles {
+            for (place, texel) in tile.value.iter_mut().enumerate() {
+                let is_fixed = tile.is_fixed.get(place) == Some(&true);
+                if !texel[0].is_nan() && !is_fixed {
+                    *texel = [value; 3];
+                }
             }
         }
     }
 
-    /// What a bilinear lookup at a position of a page reads: the painted ones of four texels,
-    /// clamped to the page. Nothing where the nearest texel is unpainted.
+    /// What a bilinear lookup at a position of a page of `texture`, which these were made from, reads:
+    /// the painted ones of four texels, clamped to the page. Nothing where the nearest texel is
+    /// unpainted.
     #[expect(
         clippy::cast_possible_truncation,
         clippy::cast_sign_loss,
         reason = "clamped to the page before the casts; addresses fit u32 by construction"
     )]
-    pub(super) fn footprint(&self, page: usize, [x_texel, y_texel]: [f32; 2]) -> Footprint {
-        let Some(page) = self.pages.get(page) else {
+    pub(super) fn footprint(
+        &self,
+        texture: &AtlasTexture,
+        page: usize,
+        [x_texel, y_texel]: [f32; 2],
+    ) -> Footprint {
+        let (Some(page), Some(recorded)) = (self.pages.get(page), texture.pages.get(page)) else {
             return Footprint::NONE;
         };
         let [width, height] = page.size_texel;
@@ -240,10 +285,12 @@ impl Texels {
         let nearest = usize::from(fx >= 0.5) + 2 * usize::from(fy >= 0.5);
         for corner in 0..4 {
             let (x, y) = (columns[corner % 2], rows[corner / 2]);
-            let tile = page.first_tile + y / TILE_TEXEL * page.tile_columns + x / TILE_TEXEL;
-            let place = y % TILE_TEXEL * TILE_TEXEL + x % TILE_TEXEL;
-            let value = self.tiles[tile].value.get(place);
-            if value.is_none_or(|value| value[0].is_nan()) {
+            let (tile, place) = (page.tile(x, y), place_of(x, y));
+            let is_painted = match self.tiles[tile].value.get(place) {
+                Some(value) => !value[0].is_nan(),
+                None => recorded.source[y * width + x] != TexelSource::NONE,
+            };
+            if !is_painted {
                 if corner == nearest {
                     return Footprint::NONE;
                 }
@@ -274,12 +321,18 @@ impl Texels {
             .unwrap_or(TexelSource::NONE)
     }
 
-    fn value(&self, address: TexelAddress) -> [f32; 3] {
-        self.tiles[address.tile()].value[address.place()]
+    fn value(&self, texture: &AtlasTexture, address: TexelAddress) -> [f32; 3] {
+        match self.tiles[address.tile()].value.get(address.place()) {
+            Some(value) => *value,
+            None => {
+                let (number, page) = page_of(&self.pages, address.tile());
+                texture.pages[number].srgb[page.index(address)].map(from_byte)
+            }
+        }
     }
 
     /// Values at the footprints, planar: `out[channel · n + pixel]`; −1 where there is none.
-    pub(super) fn gather(&self, footprints: &[Footprint], out: &mut [f32]) {
+    pub(super) fn gather(&self, texture: &AtlasTexture, footprints: &[Footprint], out: &mut [f32]) {
         let num = footprints.len();
         debug_assert_eq!(out.len(), 3 * num);
         if num == 0 {
@@ -293,20 +346,20 @@ impl Texels {
             .zip(footprints.par_chunks(CHUNK_PIXELS))
             .for_each(|(((red, green), blue), footprints)| {
                 for (i, footprint) in footprints.iter().enumerate() {
-                    let [r, g, b] = self.lookup(footprint);
+                    let [r, g, b] = self.lookup(texture, footprint);
                     (red[i], green[i], blue[i]) = (r, g, b);
                 }
             });
     }
 
-    fn lookup(&self, footprint: &Footprint) -> [f32; 3] {
+    fn lookup(&self, texture: &AtlasTexture, footprint: &Footprint) -> [f32; 3] {
         if !footprint.is_some() {
             return [-1.0; 3];
         }
         let mut sum = [0.0f32; 3];
         for (&texel, &weight) in footprint.texel.iter().zip(&footprint.weight) {
             if weight > 0.0 {
-                let value = self.value(texel);
+                let value = self.value(texture, texel);
                 for (sum, value) in sum.iter_mut().zip(value) {
                     *sum += weight * value;
                 }
@@ -316,20 +369,29 @@ impl Texels {
     }
 
     /// One step of Adam along the gradient by the values at the footprints (planar as in
-    /// [`Self::gather`]) on the texels that they read.
-    pub(super) fn step(&mut self, footprints: &[Footprint], gradient: &[f32], adam: &AdamStep) {
+    /// [`Self::gather`]) on the texels that they read and that may change. `is_fixed` says per pixel
+    /// whether it is no reason for a step; empty when all are.
+    pub(super) fn step(
+        &mut self,
+        footprints: &[Footprint],
+        is_fixed: &[bool],
+        gradient: &[f32],
+        adam: &AdamStep,
+    ) {
         debug_assert_eq!(gradient.len(), 3 * footprints.len());
-        self.bins.fill(footprints);
         let Self { tiles, bins, .. } = self;
+        bins.fill(footprints, |pixel, texel| {
+            is_fixed.get(pixel) != Some(&true) && tiles[texel.tile()].may_change(texel.place())
+        });
         let bins = &*bins;
         tiles
             .par_iter_mut()
-            .zip(&bins.slot_of_tile)
-            .filter(|(_, slot)| **slot != NO_SLOT)
+            .zip(bins.slot_of_tile())
+            .filter_map(|(tile, slot)| Some((tile, slot?)))
             .for_each_init(
                 || (vec![[0.0f32; 3]; TILE_AREA], vec![false; TILE_AREA]),
-                |(sum, is_read), (tile, &slot)| {
-                    let entries = bins.entries(slot as usize);
+                |(sum, is_read), (tile, slot)| {
+                    let entries = bins.entries(slot);
                     scatter(entries, footprints, gradient, sum, is_read);
                     tile.step(sum, is_read, adam);
                 },
@@ -338,31 +400,67 @@ impl Texels {
     }
 }
 
-/// The gradient by the texels of one tile, from the entries of its bin in their order.
-fn scatter(
-    entries: &[u32],
-    footprints: &[Footprint],
-    gradient: &[f32],
-    sum: &mut [[f32; 3]],
-    is_read: &mut [bool],
-) {
-    sum.fill([0.0; 3]);
-    is_read.fill(false);
-    for &entry in entries {
-        let (pixel, corner) = (entry as usize / 4, entry as usize % 4);
-        let footprint = &footprints[pixel];
-        let place = footprint.texel[corner].place();
-        let weight = footprint.weight[corner];
-        is_read[place] = true;
-        for (channel, sum) in sum[place].iter_mut().enumerate() {
-            *sum += weight * gradient[channel * footprints.len() + pixel];
+/// The page that a tile is on, and its number.
+fn page_of(pages: &[Page], tile: usize) -> (usize, &Page) {
+    let number = pages.partition_point(|page| page.first_tile <= tile) - 1;
+    (number, &pages[number])
+}
+
+/// Per tile that holds a texel of a chart that may change: which of its texels may not.
+fn mark_fixed(pages: &[Page], layout: &AtlasLayout, may_change: &[bool], marks: &mut [Vec<bool>]) {
+    let charts = layout.charts.iter().zip(may_change);
+    for chart in charts.filter_map(|(chart, may_change)| may_change.then_some(chart)) {
+        let Some(page) = pages.get(chart.page as usize) else {
+            continue;
+        };
+        for (row, first, len) in chart.own_spans() {
+            let y = row as usize;
+            if y >= page.size_texel[1] {
+                continue;
+            }
+            let columns = first as usize..((first + len) as usize).min(page.size_texel[0]);
+            for x in columns {
+                let mark = &mut marks[page.tile(x, y)];
+                mark.resize(TILE_AREA, true);
+                mark[place_of(x, y)] = false;
+            }
         }
     }
 }
 
 impl Tile {
+    /// A tile of a texture; without memory where nothing of it is painted.
+    fn new(texture: &AtlasTexture, pages: &[Page], tile: usize, is_fixed: Vec<bool>) -> Self {
+        let (number, page) = page_of(pages, tile);
+        let recorded = &texture.pages[number];
+        let mut value = vec![[f32::NAN; 3]; TILE_AREA];
+        let mut source = vec![TexelSource::NONE; TILE_AREA];
+        let mut is_painted = false;
+        page.for_each_place(tile, |place, index| {
+            if recorded.source[index] != TexelSource::NONE {
+                value[place] = recorded.srgb[index].map(from_byte);
+                source[place] = recorded.source[index];
+                is_painted = true;
+            }
+        });
+        if !is_painted {
+            return Self::default();
+        }
+        Self {
+            value,
+            source,
+            is_fixed,
+            moments: None,
+        }
+    }
+
+    fn may_change(&self, place: usize) -> bool {
+        !self.value.is_empty() && self.is_fixed.get(place) != Some(&true)
+    }
+
     fn step(&mut self, gradient: &[[f32; 3]], is_read: &[bool], adam: &AdamStep) {
         let moments = self.moments.get_or_insert_with(|| Box::new(Moments::new()));
+        moments.is_unwritten = true;
         let [beta1, beta2] = adam.betas;
         for place in (0..TILE_AREA).filter(|&place| is_read[place]) {
             let count = moments.num_steps[place].saturating_add(1);
@@ -377,74 +475,6 @@ impl Tile {
                 let size = (*second / correct2).sqrt() + EPSILON;
                 self.value[place][channel] -= adam.learning_rate * (*first / correct1) / size;
             }
-        }
-    }
-}
-
-impl Bins {
-    #[expect(
-        clippy::cast_possible_truncation,
-        reason = "an image has less than 2³⁰ pixels, and no more bins than tiles"
-    )]
-    fn fill(&mut self, footprints: &[Footprint]) {
-        self.touched.clear();
-        let reads = || {
-            footprints
-                .iter()
-                .enumerate()
-                .flat_map(|(pixel, footprint)| {
-                    let pairs = footprint.texel.iter().zip(&footprint.weight).enumerate();
-                    pairs
-                        .filter(|(_, (_, weight))| **weight > 0.0)
-                        .map(move |(corner, (texel, _))| (texel.tile(), pixel * 4 + corner))
-                })
-        };
-        for (tile, _) in reads() {
-            let slot = &mut self.slot_of_tile[tile];
-            if *slot == NO_SLOT {
-                *slot = self.touched.len() as u32;
-                self.touched.push((tile, 0));
-            }
-            self.touched[*slot as usize].1 += 1;
-        }
-        self.begin.clear();
-        self.begin.push(0);
-        let mut end = 0;
-        for &(_, count) in &self.touched {
-            end += count;
-            self.begin.push(end);
-        }
-        self.entry.clear();
-        self.entry.resize(end, 0);
-        let mut next = self.begin.clone();
-        for (tile, entry) in reads() {
-            let at = &mut next[self.slot_of_tile[tile] as usize];
-            self.entry[*at] = entry as u32;
-            *at += 1;
-        }
-    }
-
-    fn entries(&self, slot: usize) -> &[u32] {
-        &self.entry[self.begin[slot]..self.begin[slot + 1]]
-    }
-
-    fn clear(&mut self) {
-        for &(tile, _) in &self.touched {
-            self.slot_of_tile[tile] = NO_SLOT;
-        }
-    }
-}
-
-/// Calls with the place in the tile and the index on the page of each texel of the tile at `corner`.
-fn for_each_place(
-    corner: [usize; 2],
-    [width, height]: [usize; 2],
-    mut call: impl FnMut(usize, usize),
-) {
-    for y in corner[1]..height.min(corner[1] + TILE_TEXEL) {
-        for x in corner[0]..width.min(corner[0] + TILE_TEXEL) {
-            let place = (y - corner[1]) * TILE_TEXEL + x - corner[0];
-            call(place, y * width + x);
         }
     }
 }

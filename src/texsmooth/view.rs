@@ -12,7 +12,7 @@ use nalgebra::{Matrix3, Point3, Vector3};
 use rayon::prelude::*;
 
 use super::texels::{Footprint, Texels};
-use crate::atlas::AtlasLayout;
+use crate::atlas::{AtlasLayout, AtlasTexture};
 use crate::geom::{PinholeCamera, RigidTransform};
 use crate::mesh::{TriMesh, TriangleId};
 use crate::render::raster::{NO_TRIANGLE, barycentric};
@@ -23,6 +23,21 @@ use crate::render::textured::inside;
 pub(super) struct Surface<'a> {
     pub(super) mesh: &'a TriMesh,
     pub(super) layout: &'a AtlasLayout,
+    /// As it was before the steps that are not written back yet.
+    pub(super) texture: &'a AtlasTexture,
+    /// Per chart, whether it may change; `None` where all may.
+    pub(super) may_change: Option<&'a [bool]>,
+}
+
+impl Surface<'_> {
+    /// Whether what shows this triangle is no reason for a change.
+    fn is_fixed(&self, triangle: TriangleId) -> bool {
+        self.may_change.is_some_and(|may_change| {
+            let chart = self.layout.chart_of_triangle.get(triangle.index());
+            let may = chart.and_then(|chart| may_change.get(chart.index()));
+            !may.copied().unwrap_or(false)
+        })
+    }
 }
 
 /// A photo's camera, and the triangle at each of its pixels.
@@ -32,6 +47,8 @@ pub(super) struct View {
     pub(super) camera_from_world: RigidTransform,
     /// Per pixel, row-major: index of the triangle, or [`NO_TRIANGLE`].
     pub(super) triangle: Vec<u32>,
+    /// Per row: pixels that show a chart that may change; empty where all charts may.
+    pub(super) num_changing_in_row: Vec<u32>,
 }
 
 /// A rectangle of whole pixels.
@@ -58,6 +75,16 @@ pub(super) struct CropSurface {
     /// Texels that a pixel covers in the direction in which it covers most; 0 where the mesh is not
     /// seen.
     pub(super) texels_per_px: Vec<f32>,
+    /// Whether it is no reason for a change: it shows a chart that must stay, or none. Empty where all
+    /// charts may change.
+    pub(super) is_fixed: Vec<bool>,
+}
+
+impl CropSurface {
+    /// Whether the pixel shows texels that may change.
+    pub(super) fn may_change(&self, pixel: usize) -> bool {
+        self.footprint[pixel].is_some() && self.is_fixed.get(pixel) != Some(&true)
+    }
 }
 
 /// What one pixel shows.
@@ -65,6 +92,7 @@ struct PixelSurface {
     footprint: Footprint,
     point_in_camera: [f32; 3],
     texels_per_px: f32,
+    is_fixed: bool,
 }
 
 impl PixelSurface {
@@ -72,10 +100,65 @@ impl PixelSurface {
         footprint: Footprint::NONE,
         point_in_camera: [f32::NAN; 3],
         texels_per_px: 0.0,
+        is_fixed: true,
     };
 }
 
 impl View {
+    pub(super) fn new(
+        on: Surface<'_>,
+        camera: PinholeCamera,
+        camera_from_world: RigidTransform,
+        triangle: Vec<u32>,
+    ) -> Self {
+        let num_changing_in_row = match on.may_change {
+            None => Vec::new(),
+            Some(_) => triangle
+                .par_chunks(camera.width() as usize)
+                .map(|row| {
+                    let changing = row
+                        .iter()
+                        .filter(|id| **id != NO_TRIANGLE && !on.is_fixed(TriangleId(**id)));
+                    u32::try_from(changing.count()).unwrap_or(u32::MAX)
+                })
+                .collect(),
+        };
+        Self {
+            camera,
+            camera_from_world,
+            triangle,
+            num_changing_in_row,
+        }
+    }
+
+    /// How many pixels show a chart that may change; for views of some charts.
+    pub(super) fn num_changing(&self) -> usize {
+        let rows = self.num_changing_in_row.iter();
+        rows.map(|&num| num as usize).sum()
+    }
+
+    /// Column and row of one of these pixels, numbered row by row.
+    pub(super) fn changing(&self, on: Surface<'_>, mut number: usize) -> Option<[usize; 2]> {
+        let width = self.camera.width() as usize;
+        for (y, &num) in self.num_changing_in_row.iter().enumerate() {
+            let num = num as usize;
+            if number < num {
+                let row = self.triangle.get(y * width..(y + 1) * width)?;
+                let mut columns = row
+                    .iter()
+                    .enumerate()
+                    .filter(|(_, id)| **id != NO_TRIANGLE && !on.is_fixed(TriangleId(**id)));
+                return columns.nth(number).map(|(x, _)| [x, y]);
+            }
+            number -= num;
+        }
+        None
+    }
+
+    pub(super) fn num_bytes(&self) -> usize {
+        size_of_val(&*self.triangle) + size_of_val(&*self.num_changing_in_row)
+    }
+
     fn triangle_at(&self, [x, y]: [f64; 2]) -> Option<TriangleId> {
         let (width, height) = (self.camera.width(), self.camera.height());
         let (x, y) = (x.round(), y.round());
@@ -121,15 +204,20 @@ impl View {
         let mut footprint = Vec::with_capacity(rect.num_pixels());
         let mut point_in_camera = Vec::with_capacity(rect.num_pixels());
         let mut texels_per_px = Vec::with_capacity(rect.num_pixels());
+        let mut is_fixed = Vec::new();
         for pixel in rows.into_iter().flatten() {
             footprint.push(pixel.footprint);
             point_in_camera.push(pixel.point_in_camera);
             texels_per_px.push(pixel.texels_per_px);
+            if on.may_change.is_some() {
+                is_fixed.push(pixel.is_fixed);
+            }
         }
         CropSurface {
             footprint,
             point_in_camera,
             texels_per_px,
+            is_fixed,
         }
     }
 
@@ -165,9 +253,10 @@ impl View {
         let px_m = point_m[2] / self.camera.intrinsics_px()[0] / cosine;
         #[expect(clippy::cast_possible_truncation, reason = "rounding to f32 is meant")]
         Some(PixelSurface {
-            footprint: texels.footprint(page, position_texel),
+            footprint: texels.footprint(on.texture, page, position_texel),
             point_in_camera: point_m.map(|value| value as f32),
             texels_per_px: (px_m * texels_per_m) as f32,
+            is_fixed: on.is_fixed(triangle),
         })
     }
 

@@ -113,6 +113,20 @@ fn lossless_compression_keeps_every_pixel() {
     assert_eq!(png.encoding(), ColorEncoding::Png);
     assert_eq!(png.decode().unwrap(), image);
     assert_eq!(png.compressed_lossless().unwrap(), png);
+
+    let rgb = image.pixels();
+    let padded: Vec<u8> = rgb
+        .chunks(48)
+        .flat_map(|row| [row.as_flattened(), &[7; 5]].concat())
+        .collect();
+    let bgr: Vec<u8> = rgb.iter().flat_map(|&[r, g, b]| [b, g, r]).collect();
+    for (encoding, row_bytes, bytes) in [
+        (ColorEncoding::Rgb8, 149, padded),
+        (ColorEncoding::Bgr8, 144, bgr),
+    ] {
+        let raw = EncodedColor::from_raw(encoding, 48, 32, row_bytes, bytes.into()).unwrap();
+        assert_eq!(raw.compressed_lossless().unwrap(), png);
+    }
 }
 
 fn jpeg(image: &ColorImage) -> Vec<u8> {

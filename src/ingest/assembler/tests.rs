@@ -375,6 +375,59 @@ fn a_loop_of_the_recording_starts_over() {
     assert!(second.iter().all(|&x| x == 2.0), "{second:?}");
 }
 
+/// Transforms do not tell of it themselves here: none comes until the clock has come far again.
+#[test]
+fn a_clock_set_back_leaves_no_transform_and_no_frame_from_before() {
+    let mut stream = Stream::new(&IngestParams::default());
+    stream.mesh("map", 0);
+    let pair = |stream: &mut Stream, ms| {
+        stream.infos(ms).color(ms).depth(ms, "cam");
+    };
+    for ms in (10_000..13_000).step_by(100) {
+        stream.tf("map", "cam", ms, 1.0);
+        pair(&mut stream, ms);
+    }
+    // Waits for its transform when the clock is set back.
+    for ms in [13_100, 1_000, 1_100, 1_200] {
+        pair(&mut stream, ms);
+    }
+    assert_eq!(stream.assembler.report().sync.num_clock_set_back, 1);
+    let num_before = stream.frames().len();
+    for ms in [10_500, 10_600, 10_700] {
+        pair(&mut stream, ms);
+    }
+    stream
+        .tf("map", "cam", 10_400, 2.0)
+        .tf("map", "cam", 10_700, 2.0);
+    stream.finish();
+    let frames = stream.frames();
+    let later: Vec<_> = frames[num_before..].iter().map(|f| (f.0, f.1)).collect();
+    assert_eq!(later, [(10_500, 2.0), (10_600, 2.0), (10_700, 2.0)]);
+    let refused = &stream.assembler.report().topics["color"].refused_by_reason;
+    let before = &refused["clock was set back"].examples;
+    assert_eq!(*before, ["13.100000000: clock was set back"]);
+    assert_eq!((num_before, refused["no pose: frame unknown"].num), (30, 2));
+}
+
+#[test]
+fn a_whole_mesh_leaves_no_block() {
+    let mut stream = Stream::new(&IngestParams::default());
+    let blocks = || MeshUpdate::Blocks {
+        clear: false,
+        blocks: [3, 5]
+            .map(|key| (super::super::event::MeshBlockKey([key, 0, 0]), triangle()))
+            .to_vec(),
+    };
+    let event = Event::Mesh(header("map", 1), blocks(), SoupReport::default());
+    stream.push(1, "mesh", event);
+    assert_eq!(stream.assembler.mesh_blocks().spans().len(), 2);
+    stream.mesh("map", 2);
+    assert!(stream.assembler.mesh_blocks().is_whole());
+    let event = Event::Mesh(header("map", 3), blocks(), SoupReport::default());
+    stream.push(3, "mesh", event);
+    assert_eq!(stream.assembler.mesh_blocks().spans().len(), 2);
+}
+
 #[test]
 fn growing_meshes_are_given_out_whole() {
     let mut stream = Stream::new(&IngestParams::default());

@@ -208,6 +208,29 @@ fn late_repeated_and_restarted_transforms() {
 }
 
 #[test]
+fn poses_of_another_frame_start_a_new_track() {
+    let mut track = PoseTrack::new(&IngestParams::default());
+    let mut insert = |child: &str, at_ms, x| {
+        let header = Header {
+            stamp: ms(at_ms),
+            frame_id: Arc::from("m"),
+        };
+        track.insert(&header, Some(&Arc::from(child)), pose(0.0, x))
+    };
+    for (child, at_ms, x) in [
+        ("a", 10, 1.0),
+        ("a", 30, 1.0),
+        ("b", 20, 2.0),
+        ("b", 40, 2.0),
+    ] {
+        assert_eq!(insert(child, at_ms, x), Ok(()));
+    }
+    assert!(track.at(ms(15), 0.0).is_err(), "a's");
+    let (_, found) = track.at(ms(30), 0.0).unwrap();
+    assert_eq!(found.translation().x, 2.0);
+}
+
+#[test]
 fn samples_are_bounded_in_time_and_number() {
     let mut tree = tree();
     for i in 0..40_000 {

@@ -4,8 +4,8 @@ use super::StepLosses;
 use crate::geom::ColorImage;
 use crate::texsmooth::TexSmoothParams;
 use crate::texsmooth::discriminator::{Critic, CriticError, PatchView};
-use crate::texsmooth::texels::{Footprint, from_byte};
-use crate::texsmooth::view::PixelRect;
+use crate::texsmooth::texels::from_byte;
+use crate::texsmooth::view::{CropSurface, PixelRect};
 
 /// The images of a step, planar [channel][row][column] in [−1, 1]; the partner's is NaN where it does
 /// not see the same surface.
@@ -14,7 +14,7 @@ pub(super) struct Crop<'a> {
     pub(super) photo: &'a [f32],
     pub(super) partner: &'a [f32],
     pub(super) render: &'a [f32],
-    pub(super) footprints: &'a [Footprint],
+    pub(super) surface: &'a CropSurface,
 }
 
 impl Crop<'_> {
@@ -28,7 +28,8 @@ impl Crop<'_> {
     ) -> Result<(), CriticError> {
         let num = self.rect.num_pixels();
         let mask: Vec<f32> = self
-            .footprints
+            .surface
+            .footprint
             .iter()
             .zip(self.partner)
             .map(|(footprint, partner)| {

@@ -6,7 +6,7 @@ use super::SmoothError;
 use super::step::Optimisation;
 use crate::texsmooth::random::{Purpose, StepDraws};
 use crate::texsmooth::view::{CropSurface, PixelRect};
-use crate::texsmooth::views::Seen;
+use crate::texsmooth::views::{Seen, partners};
 use crate::texsmooth::{PartnerOffset, PartnerRule};
 
 /// A partner that sees less of the crop than this share is none.
@@ -31,7 +31,7 @@ impl Optimisation<'_> {
         photo: &[f32],
     ) -> Result<Vec<f32>, SmoothError> {
         let candidates = match self.params.partner_rule {
-            PartnerRule::WorldAxis => self.partners[index].clone(),
+            PartnerRule::WorldAxis => self.partners(index).collect(),
             PartnerRule::ViewingAxis => self.partners_before(index, seen, rect, surface),
         };
         let drawn = candidates
@@ -53,7 +53,7 @@ impl Optimisation<'_> {
                     self.project(&partner, seen, &surface.point_in_camera, offset_px)
                 }
                 PartnerOffset::View => {
-                    let unshifted = seen.view.surface(self.on, &self.texels, rect, 1, [0.0; 2]);
+                    let unshifted = seen.view.surface(self.on, self.texels, rect, 1, [0.0; 2]);
                     self.project(&partner, seen, &unshifted.point_in_camera, [0.0; 2])
                 }
             };
@@ -103,11 +103,11 @@ impl Optimisation<'_> {
                 .count();
             *other == index || 2 * num_inside > points.len()
         };
-        self.partners[index]
-            .iter()
-            .copied()
-            .filter(sees_most)
-            .collect()
+        self.partners(index).filter(sees_most).collect()
+    }
+
+    fn partners(&self, index: usize) -> impl Iterator<Item = usize> {
+        partners(self.axes, index, self.params.max_partner_angle_rad)
     }
 
     fn project(

@@ -1,50 +1,48 @@
 //! One step, and what may be asked of the texture between steps.
 
+use nalgebra::Vector3;
 use rayon::prelude::*;
 
 use super::crop::{Crop, photo_crop};
+use super::draw::Drawn;
 use super::{SmoothError, SmoothReport, StepLosses};
 use crate::atlas::TexelSource;
 use crate::geom::ColorImage;
-use crate::texsmooth::checkpoint;
 use crate::texsmooth::discriminator::Critic;
+use crate::texsmooth::focus::Focus;
 use crate::texsmooth::offsets::Offsets;
-use crate::texsmooth::random::{Purpose, StepDraws};
+use crate::texsmooth::random::StepDraws;
 use crate::texsmooth::texels::{AdamStep, Texels, to_byte};
 use crate::texsmooth::view::{CropSurface, PixelRect, Surface};
-use crate::texsmooth::views::{Seen, UnseenError, Views};
+use crate::texsmooth::views::{Seen, Views};
 use crate::texsmooth::{L1Target, TexSmoothParams};
 
-/// The state of a run.
+/// What a step looks at and what it changes: a [`super::Smoothing`] on its scene.
 pub(super) struct Optimisation<'a> {
     pub(super) params: &'a TexSmoothParams,
     pub(super) on: Surface<'a>,
-    pub(super) texels: Texels,
-    pub(super) critic: Option<Box<dyn Critic>>,
-    pub(super) offsets: Offsets,
-    pub(super) partners: Vec<Vec<usize>>,
+    pub(super) texels: &'a mut Texels,
+    pub(super) critic: &'a mut Option<Box<dyn Critic>>,
+    pub(super) offsets: &'a mut Offsets,
+    /// Says which views may be partners.
+    pub(super) axes: &'a [Vector3<f64>],
     pub(super) views: Views<'a>,
-    pub(super) report: SmoothReport,
+    /// Where the charts are that may change; `None` where all may.
+    pub(super) focus: &'a mut Option<Focus>,
+    pub(super) report: &'a mut SmoothReport,
 }
 
 impl Optimisation<'_> {
     /// One step; nothing where its crop shows nothing or a photo does not decode.
     pub(super) fn step(&mut self, step: usize) -> Result<Option<StepLosses>, SmoothError> {
         let draws = StepDraws::new(self.params.seed, step as u64);
-        let index = draws.below(Purpose::View, self.views.len());
-        let seen = match self.views.get(index) {
-            Ok(seen) => seen,
-            Err(UnseenError::Photo(_)) => {
-                self.report.num_undecodable += 1;
-                return Ok(None);
-            }
-            Err(UnseenError::Device(error)) => return Err(error.into()),
+        let Some(Drawn { index, seen, rect }) = self.draw(draws)? else {
+            return Ok(None);
         };
-        let rect = self.draw_crop(draws, &seen.photo.color);
         let offset_px = self.offset(index, &seen, rect)?;
-        let surface = seen.view.surface(self.on, &self.texels, rect, 1, offset_px);
+        let surface = seen.view.surface(self.on, self.texels, rect, 1, offset_px);
         let num_seen = surface.footprint.iter().filter(|f| f.is_some()).count();
-        if num_seen == 0 {
+        if !(0..surface.footprint.len()).any(|pixel| surface.may_change(pixel)) {
             self.report.num_empty += 1;
             return Ok(None);
         }
@@ -57,21 +55,22 @@ impl Optimisation<'_> {
             Vec::new()
         };
         let mut render = vec![0.0f32; photo.len()];
-        self.texels.gather(&surface.footprint, &mut render);
+        self.texels
+            .gather(self.on.texture, &surface.footprint, &mut render);
 
         let crop = Crop {
             rect,
             photo: &photo,
             partner: &partner,
             render: &render,
-            footprints: &surface.footprint,
+            surface: &surface,
         };
         let mut gradient = vec![0.0f32; photo.len()];
         let mut losses = StepLosses {
             l1: self.add_l1(step, &crop, &mut gradient),
             ..StepLosses::default()
         };
-        if let Some(critic) = &mut self.critic {
+        if let Some(critic) = self.critic {
             crop.judge(critic.as_mut(), self.params, &mut losses, &mut gradient)?;
             self.report.num_critic_steps += usize::from(losses.has_critic_stepped);
         }
@@ -81,34 +80,9 @@ impl Optimisation<'_> {
             learning_rate: self.params.learning_rate_at(step),
             betas: self.params.betas,
         };
-        self.texels.step(&surface.footprint, &gradient, &adam);
+        let (footprints, is_fixed) = (&surface.footprint, &surface.is_fixed);
+        self.texels.step(footprints, is_fixed, &gradient, &adam);
         Ok(Some(losses))
-    }
-
-    fn draw_crop(&self, draws: StepDraws, photo: &ColorImage) -> PixelRect {
-        let (width, height) = (photo.width() as usize, photo.height() as usize);
-        if self.params.crop_px == 0 {
-            let jitter = |purpose, size: usize| {
-                draws.below(purpose, (self.params.max_jitter_px + 1).min(size.max(1)))
-            };
-            let (x, y) = (
-                jitter(Purpose::CropX, width),
-                jitter(Purpose::CropY, height),
-            );
-            return PixelRect {
-                x,
-                y,
-                width: width - x,
-                height: height - y,
-            };
-        }
-        let side = |size: usize| self.params.crop_px.min(size);
-        PixelRect {
-            x: draws.below(Purpose::CropX, width - side(width) + 1),
-            y: draws.below(Purpose::CropY, height - side(height) + 1),
-            width: side(width),
-            height: side(height),
-        }
     }
 
     pub(super) fn offset(
@@ -121,15 +95,15 @@ impl Optimisation<'_> {
             return Ok([0.0; 2]);
         }
         let middle = [rect.x + rect.width / 2, rect.y + rect.height / 2];
-        let at = self
-            .offsets
-            .at(index, seen, self.on, &self.texels, middle)?;
+        let at = self.offsets.at(index, seen, self.on, self.texels, middle)?;
         Ok(at)
     }
 
-    /// Adds λ times the gradient of the mean absolute difference; returns that mean.
+    /// Adds λ times the gradient of the mean absolute difference; returns that mean over what may
+    /// change. The gradient's is over all that is seen, so that a pixel weighs as much as it does where
+    /// all may change.
     fn add_l1(&self, step: usize, crop: &Crop<'_>, gradient: &mut [f32]) -> f32 {
-        let footprints = crop.footprints;
+        let footprints = &crop.surface.footprint;
         let num_pixels = footprints.len();
         let target = match self.params.l1_target {
             L1Target::Photo => crop.photo,
@@ -141,8 +115,10 @@ impl Optimisation<'_> {
             return 0.0;
         }
         let slope = self.params.lambda_at(step) / num_values as f32;
-        let mut sum = 0.0f64;
-        for i in (0..num_pixels).filter(|&i| counts(i)) {
+        let (mut sum, mut num_summed) = (0.0f64, 0);
+        let may_change = |i: usize| counts(i) && crop.surface.may_change(i);
+        for i in (0..num_pixels).filter(|&i| may_change(i)) {
+            num_summed += 3;
             for at in [i, num_pixels + i, 2 * num_pixels + i] {
                 let difference = crop.render[at] - target[at];
                 sum += f64::from(difference.abs());
@@ -152,7 +128,7 @@ impl Optimisation<'_> {
             }
         }
         #[expect(clippy::cast_possible_truncation, reason = "rounding to f32 is meant")]
-        let mean = (sum / num_values as f64) as f32;
+        let mean = (sum / f64::from(num_summed.max(1))) as f32;
         mean
     }
 
@@ -164,7 +140,7 @@ impl Optimisation<'_> {
         if exponent == 0.0 && own_weight == 1.0 {
             return;
         }
-        let texels = &self.texels;
+        let texels = &*self.texels;
         let weights: Vec<f32> = surface
             .footprint
             .par_iter()
@@ -197,10 +173,11 @@ impl Optimisation<'_> {
         };
         let surface = seen
             .view
-            .surface(self.on, &self.texels, rect, factor, [0.0; 2]);
+            .surface(self.on, self.texels, rect, factor, [0.0; 2]);
         let num = rect.num_pixels();
         let mut render = vec![0.0; 3 * num];
-        self.texels.gather(&surface.footprint, &mut render);
+        self.texels
+            .gather(self.on.texture, &surface.footprint, &mut render);
         let factor = u32::try_from(factor).ok()?;
         let photo = photo.reduced(factor);
         let mut pixels = Vec::with_capacity(2 * num);
@@ -211,17 +188,5 @@ impl Optimisation<'_> {
         }
         let size = |px: usize| u32::try_from(px).ok();
         ColorImage::new(size(2 * rect.width)?, size(rect.height)?, pixels).ok()
-    }
-
-    pub(super) fn checkpoint(&self) -> Result<Vec<u8>, SmoothError> {
-        self.checkpoint_at(self.report.num_steps)
-    }
-
-    pub(super) fn checkpoint_at(&self, num_steps: usize) -> Result<Vec<u8>, SmoothError> {
-        let critic = match &self.critic {
-            Some(critic) => critic.save()?,
-            None => Vec::new(),
-        };
-        Ok(checkpoint::write(num_steps, &critic, &self.texels))
     }
 }

@@ -68,6 +68,7 @@ fn view(mesh: &TriMesh, camera_from_world: RigidTransform) -> View {
         camera: camera(),
         camera_from_world,
         triangle: buffer.triangle,
+        num_changing_in_row: Vec::new(),
     }
 }
 
@@ -92,6 +93,8 @@ fn a_crop_is_the_rendering_s() {
     let on = Surface {
         mesh: &mesh,
         layout: &layout,
+        texture: &texture,
+        may_change: None,
     };
     let rect = PixelRect {
         x: 5,
@@ -101,7 +104,7 @@ fn a_crop_is_the_rendering_s() {
     };
     let found = view.surface(on, &texels, rect, 1, [0.0; 2]);
     let mut render = vec![0.0; 3 * rect.num_pixels()];
-    texels.gather(&found.footprint, &mut render);
+    texels.gather(&texture, &found.footprint, &mut render);
     let mut num_seen = 0;
     for i in 0..rect.num_pixels() {
         let (x, y) = (rect.x + i % rect.width, rect.y + i / rect.width);
@@ -126,6 +129,8 @@ fn an_offset_shows_the_surface_beside_the_pixel() {
     let on = Surface {
         mesh: &mesh,
         layout: &layout,
+        texture: &texture,
+        may_change: None,
     };
     let offset_px = [2.3f32, -1.6];
     let found = view.surface(on, &texels, WHOLE, 1, offset_px);
@@ -162,6 +167,8 @@ fn another_camera_sees_points_where_they_are_and_not_what_is_hidden() {
     let on = Surface {
         mesh: &mesh,
         layout: &layout,
+        texture: &texture,
+        may_change: None,
     };
     let first = view(&mesh, RigidTransform::identity());
     let pose = RigidTransform::from_parts(
@@ -210,6 +217,8 @@ fn a_pixel_covers_as_many_texels_as_the_jacobian_says() {
     let on = Surface {
         mesh: &mesh,
         layout: &layout,
+        texture: &texture,
+        may_change: None,
     };
     let found = view.surface(on, &texels, WHOLE, 1, [0.0; 2]);
     let place = |x: f64, y: f64| {
