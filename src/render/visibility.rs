@@ -305,6 +305,7 @@ impl VisibilityBuffer {
             &mut self.scratch_m,
             [width, height],
             margin,
+            0.0,
             |a, b| if a > b { a } else { b },
         );
         self.nearest_m.clear();
@@ -318,43 +319,59 @@ impl VisibilityBuffer {
             &mut self.scratch_m,
             [width, height],
             margin,
+            f32::INFINITY,
             |a, b| if a < b { a } else { b },
         );
     }
 }
 
-/// Replaces each value by the extreme over the square window of half-width `margin`.
+/// Replaces each value by the extreme over the square window of half-width `margin`; `nothing` is what
+/// every value is taken before. Extremes over 2, 4, 8… are taken first, and two of these make the
+/// window.
 fn spread(
-    values: &mut Vec<f32>,
+    values: &mut [f32],
     scratch: &mut Vec<f32>,
     [width, height]: [usize; 2],
     margin: usize,
+    nothing: f32,
     extreme: impl Fn(f32, f32) -> f32,
 ) {
-    scratch.clone_from(values);
-    for (row, wide) in values
-        .chunks_exact(width)
-        .zip(scratch.chunks_exact_mut(width))
-    {
-        for shift in 1..=margin.min(width.saturating_sub(1)) {
-            for (out, &value) in wide.iter_mut().zip(&row[shift..]) {
-                *out = extreme(*out, value);
-            }
-            for (out, &value) in wide[shift..].iter_mut().zip(row) {
-                *out = extreme(*out, value);
-            }
+    let wanted = 2 * margin + 1;
+    let into = |out: &mut [f32], other: &[f32]| {
+        for (out, &other) in out.iter_mut().zip(other) {
+            *out = extreme(*out, other);
         }
+    };
+    // Down the columns, between rows of nothing.
+    scratch.clear();
+    scratch.resize((height + 2 * margin) * width, nothing);
+    scratch[margin * width..(margin + height) * width].copy_from_slice(values);
+    let mut reach = 1;
+    while 2 * reach <= wanted {
+        for y in 0..height + 2 * margin - reach {
+            let (above, below) = scratch.split_at_mut((y + reach) * width);
+            into(&mut above[y * width..(y + 1) * width], &below[..width]);
+        }
+        reach *= 2;
     }
-    values.clone_from(scratch);
-    for y in 0..height {
-        let window = y.saturating_sub(margin)..(y + margin + 1).min(height);
-        let out = &mut values[y * width..(y + 1) * width];
-        for other in window {
-            let row = &scratch[other * width..(other + 1) * width];
-            for (out, &value) in out.iter_mut().zip(row) {
-                *out = extreme(*out, value);
-            }
+    // Then along the rows.
+    let mut line = vec![nothing; width + 2 * margin];
+    let mut next = line.clone();
+    for (y, row) in values.chunks_exact_mut(width.max(1)).enumerate() {
+        let column = &mut line[margin..margin + width];
+        column.copy_from_slice(&scratch[y * width..(y + 1) * width]);
+        into(column, &scratch[(y + wanted - reach) * width..][..width]);
+        let mut along = 1;
+        while 2 * along <= wanted {
+            next.copy_from_slice(&line);
+            into(&mut next, &line[along..]);
+            std::mem::swap(&mut line, &mut next);
+            along *= 2;
         }
+        row.copy_from_slice(&line[..width]);
+        into(row, &line[wanted - along..]);
+        line[..margin].fill(nothing);
+        line[margin + width..].fill(nothing);
     }
 }
 
@@ -582,7 +599,7 @@ mod tests {
             let (width, height) = (7usize, 5usize);
             for (extreme, start) in [(f32::max as fn(f32, f32) -> f32, 0.0f32), (f32::min, 99.0)] {
                 let mut spread_values = values.clone();
-                spread(&mut spread_values, &mut vec![], [width, height], margin, extreme);
+                spread(&mut spread_values, &mut vec![], [width, height], margin, start, extreme);
                 for y in 0..height {
                     for x in 0..width {
                         let mut expected = start;
