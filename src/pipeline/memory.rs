@@ -52,6 +52,8 @@ const KEYFRAME_SHARE: f64 = 0.25;
 const ATLAS_SHARE: f64 = 0.5;
 /// A texel of the atlas, and the copy that an export or a change of its page makes.
 const TEXEL_BYTES: f64 = 14.0;
+/// The same texel as TexInit left it, where what is shown of changes is refined.
+const BASE_TEXEL_BYTES: f64 = 8.0;
 /// A triangle in mesh, adjacency, charts and per-triangle results.
 const TRIANGLE_BYTES: u64 = 400;
 /// A pair of frame and triangle in the score tables, times the share of such pairs there are.
@@ -68,7 +70,7 @@ impl MemoryParams {
         if self.budget_mb > 0.0 {
             let keyframe = &mut params.keyframe;
             keyframe.budget_mb = keyframe.budget_mb.min(KEYFRAME_SHARE * self.budget_mb);
-            let max_texels = bytes(ATLAS_SHARE * self.budget_bytes() / TEXEL_BYTES);
+            let max_texels = bytes(ATLAS_SHARE * self.budget_bytes() / texel_bytes(&params));
             let pack = &mut params.texinit.pack;
             pack.max_texels = pack.max_texels.min(max_texels);
         }
@@ -91,7 +93,7 @@ impl MemoryParams {
         num_triangles: usize,
     ) -> MemoryPlan {
         let applied = self.applied_to(params);
-        let atlas = bytes(applied.texinit.pack.max_texels as f64 * TEXEL_BYTES);
+        let atlas = bytes(applied.texinit.pack.max_texels as f64 * texel_bytes(params));
         let pairs = num_keyframes as f64 * num_triangles as f64;
         let mut plan = MemoryPlan {
             budget: bytes(self.budget_bytes()),
@@ -108,6 +110,12 @@ impl MemoryParams {
         };
         plan
     }
+}
+
+fn texel_bytes(params: &PipelineParams) -> f64 {
+    let seams = &params.refine.seams;
+    let has_base = params.follows_changes() && (seams.has_global || seams.has_local);
+    TEXEL_BYTES + if has_base { BASE_TEXEL_BYTES } else { 0.0 }
 }
 
 #[expect(
