@@ -76,7 +76,7 @@ pub struct IdleParams {
 impl Default for IdleParams {
     fn default() -> Self {
         Self {
-            max_keyframes: 8,
+            max_keyframes: 4,
             max_triangles: 20_000,
         }
     }
