@@ -65,7 +65,7 @@ fn args() -> anyhow::Result<Args> {
         seconds: 20.0,
         config: Config::default(),
     };
-    args.config.set("stream.enabled", "true")?;
+    args.config.set("stream.mode", "changes")?;
     while let Some(word) = words.next() {
         let mut value = || words.next().context(USAGE);
         match word.as_str() {

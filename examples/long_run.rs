@@ -8,7 +8,7 @@
 //! The recording comes again, with new stamps, until SECONDS of its time went by; each time the mesh
 //! begins anew, so that charts go and pages are compacted. With `--step` it comes each time that many
 //! metres further along x, a robot that goes on; else the same place is scanned again, and what was
-//! evicted comes back. Painted is as the node does it with `stream.enabled`, every `--period` (5)
+//! evicted comes back. Painted is as the node does it with `stream.mode:=changes`, every `--period` (5)
 //! seconds of the recording's time.
 //!
 //! Prints one row of JSON for each pass. Fails where a count does not add up, and where the resident
@@ -60,7 +60,7 @@ fn args() -> anyhow::Result<Args> {
         step_m: 0.0,
         config: Config::default(),
     };
-    args.config.set("stream.enabled", "true")?;
+    args.config.set("stream.mode", "changes")?;
     while let Some(word) = words.next() {
         let number = |words: &mut dyn Iterator<Item = String>| {
             let word = words.next().context(USAGE)?;

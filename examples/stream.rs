@@ -125,6 +125,10 @@ fn row(painter: &StreamPainter, streamed: &Streamed) -> serde_json::Value {
         "pairs": update.num_pairs_scored,
         "painted": update.num_triangles_painted,
         "new_pages": update.has_new_pages,
+        "moved_keyframes": update.num_frames_moved,
+        "is_idle_step": streamed.is_idle_step,
+        "charts_to_refine": painter.num_charts_waiting(),
+        "keyframes_to_align": painter.num_poses_waiting(),
         "stages_ms": stages_ms(&streamed.stages),
     })
 }
@@ -136,7 +140,7 @@ fn difference(
     params: &TexInitParams,
 ) -> Option<String> {
     let state = painter.state()?;
-    let frames = &streamed.capture.keyframes;
+    let frames = &streamed.keyframes;
     let decode = |keyframe: &Keyframe| painter.decode(keyframe);
     let params = TexInitParams {
         coupling: Coupling::Chart,

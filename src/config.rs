@@ -13,6 +13,7 @@ pub mod params_file;
 mod publish;
 mod region;
 mod smooth;
+mod stream;
 mod texinit;
 pub mod tree;
 

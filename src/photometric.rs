@@ -6,7 +6,7 @@
 //! - [`frame_gain`]: a new keyframe + some before it → its gain, once and for all.
 //! - [`pose`]: photos beside renderings → cameras turned by a fraction of a degree.
 //! - [`seams`]: a painted texture → the same with the steps between labels levelled, over whole
-//!   regions and then within a narrow band.
+//!   regions and then within a narrow band; or those of some triangles, beside what stays.
 //!
 //! Everything is done in linear light. Results do not depend on the number of threads. What a
 //! texel shows changes, never where it came from; gutters are the caller's to paint again.
@@ -23,7 +23,7 @@ pub use corrected::CorrectedFrames;
 pub use frame_gain::{GainedFrame, gain_of_frame};
 pub use gain::{GainParams, GainReport, GainTable, estimate_gains};
 pub use pose::{Painted, PoseMeasure, PoseParams, PosePhoto, measure_pose, turned};
-pub use seams::{SeamParams, SeamPhoto, SeamReport, level_seams};
+pub use seams::{Levelled, SeamParams, SeamPatch, SeamPhoto, SeamReport, Standing, level_seams};
 
 use crate::atlas::texture::TextureMismatch;
 use crate::mesh::MeshError;

@@ -22,7 +22,7 @@ pub mod texture;
 
 pub use clock::StageClock;
 pub use held_out::{HeldOutParams, HeldOutView};
-pub use live::{Capture, EarlierScan, Latest, LiveScan, Painted, Painter};
+pub use live::{Capture, EarlierScan, IdleStep, Latest, LiveScan, Painted, Painter};
 pub use memory::{MemoryParams, MemoryPlan};
 pub use pose_noise::with_pose_noise;
 pub use pose_rounds::PoseReport;
@@ -31,5 +31,6 @@ pub use refine::{RefineParams, RefineReport};
 pub use region::RegionParams;
 pub use run::{PipelineError, PipelineParams, Run, StageTime, run};
 pub use scan::{Scan, gather};
+pub use stream::idle::{IdleParams, StreamMode};
 pub use stream::{StreamPainter, Streamed, UpdateSummary, run_streamed, stream};
 pub use texture::{Textured, texture_scan};

@@ -42,7 +42,10 @@ pub fn dilate_gutters(
 }
 
 /// [`dilate_gutters`] around some charts of the texture's layout.
-fn dilate_gutters_of(charts: &[&PlacedChart], texture: &mut AtlasTexture) -> GutterReport {
+pub(crate) fn dilate_gutters_of(
+    charts: &[&PlacedChart],
+    texture: &mut AtlasTexture,
+) -> GutterReport {
     let mut report = GutterReport::default();
     for batch in charts.chunks(CHARTS_PER_BATCH) {
         let gutters: Vec<Option<Gutter>> = batch

@@ -115,7 +115,7 @@ impl Job<'_> {
         // So should an unwritable bag.
         let recording = self.record.map(record::Recording::create).transpose()?;
         let mut bag = BagReader::open(self.bag, &config.topics)?;
-        let painted = if config.pipeline.follows_changes {
+        let painted = if config.pipeline.follows_changes() {
             let period_s = config.node.paint_period_s;
             pipeline::run_streamed(&mut bag, &config.pipeline, period_s, &progress)
         } else {

@@ -2,7 +2,7 @@
 
 use super::Config;
 use super::parameter::{Access, Parameter};
-use super::{export, node, publish, region, smooth, texinit};
+use super::{export, node, publish, region, smooth, stream, texinit};
 use crate::ingest::PoseSource;
 
 use Access::{Bool, Choice, Count, Float, Float32, Int, Text};
@@ -103,7 +103,7 @@ pub const PARAMETERS: &[Parameter] = &[
         Choice { words: &["streaming", "paper"], set: texinit::set_mode, get: texinit::mode }),
     row("texinit.init", "", "Colour of the chosen frame (assigned), or the mean over all frames (l2avg).",
         Choice { words: &["assigned", "l2avg"], set: texinit::set_init, get: texinit::init }),
-    row("texinit.coupling", "", "What the frame of a triangle depends on besides its own scores: all of the scan, or its chart alone, as stream.enabled has it.",
+    row("texinit.coupling", "", "What the frame of a triangle depends on besides its own scores: all of the scan, or its chart alone, as stream.mode:=changes has it.",
         Choice { words: &["scan", "chart"], set: texinit::set_coupling, get: texinit::coupling }),
     row("texinit.chart.boundary", "", "Boundary of each chart: lengths kept (isometric), or a circle (disk), where charts are split until that distorts little enough.",
         Choice { words: &["isometric", "disk"], set: texinit::set_chart_boundary, get: texinit::chart_boundary }),
@@ -259,8 +259,12 @@ pub const PARAMETERS: &[Parameter] = &[
     row("texsmooth.checkpoint_interval", "", "Steps between checkpoints; 0 for none.",
         Count(|c| &mut c.pipeline.texsmooth.checkpoint_interval, 0, 1_000_000)),
 
-    row("stream.enabled", "", "Whether only what changed since the last painting is painted, in the node, and in replay as the recording's clock goes on: charts, labels and texels stay as long as mesh and keyframes do. Gains (photometric.gain) are then given to each keyframe once, when it comes. Not with what works on the whole texture: corrected poses, levelled seams, texsmooth.",
-        Bool(|c| &mut c.pipeline.follows_changes)),
+    row("stream.mode", "", "What is painted: what changed since the last painting (changes), charts, labels and texels staying as long as mesh and keyframes do; the whole each time (whole); or what changed in the node, where the settings allow it, and the whole in replay and bake (auto). With changes, gains (photometric.gain) are given to each keyframe once, when it comes, and poses and seams (photometric.pose, photometric.global_seams, photometric.local_seams) are refined on what changed while nothing new comes; in replay, as the recording's clock goes on. Not with texsmooth.iterations, which work on the whole texture.",
+        Choice { words: &["auto", "changes", "whole"], set: stream::set_mode, get: stream::mode }),
+    row("stream.idle_keyframes", "", "Keyframes whose pose is measured in one step while nothing new comes.",
+        Count(|c| &mut c.pipeline.idle.max_keyframes, 1, 10_000)),
+    row("stream.idle_triangles", "", "Triangles whose seams are levelled in one such step; at least a chart.",
+        Count(|c| &mut c.pipeline.idle.max_triangles, 1, 100_000_000)),
     row("stream.quantum_m", "m", "Vertices are compared on a grid of this pitch.",
         Float(|c| &mut c.pipeline.stream.diff.quantum_m, 1e-6, 0.01)),
     row("stream.max_move_m", "m", "How far a vertex may move and keep its place in the atlas.",
@@ -327,7 +331,7 @@ pub const PARAMETERS: &[Parameter] = &[
         Float(|c| &mut c.node.queue_mb, 1.0, 1e5)),
     row("idle_flush", "s", "Silence after which images that wait for a partner or a pose are given up on (node).",
         Float(|c| &mut c.node.idle_flush_s, 0.1, 3600.0)),
-    row("paint_period", "s", "Least time between the starts of two paintings (node; replay with stream.enabled).",
+    row("paint_period", "s", "Least time between the starts of two paintings (node; replay with stream.mode:=changes).",
         Float(|c| &mut c.node.paint_period_s, 0.0, 3600.0)),
     row("refine_iterations", "", "Least steps of the optimisation that ~/refine does (node).",
         Count(|c| &mut c.node.refine_steps, 1, 10_000_000)),

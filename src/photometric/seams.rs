@@ -12,21 +12,28 @@
 //!
 //! Only texels that show the frame of their triangle's label change. Steps above
 //! [`SeamParams::max_step`] are taken for different things, not for light, and stay.
+//!
+//! [`level_seams`] does all of a surface, [`SeamPatch`] some of its triangles beside others that stay
+//! as they are: what was added to those stands, and what is levelled now makes up for the rest.
 
 mod apply;
 mod global;
 mod local;
 mod nodes;
+mod patch;
 mod samples;
+mod surface;
 
 use crate::atlas::{AtlasLayout, AtlasTexture, TexelSource};
 use crate::mesh::TriMesh;
 
 use super::{PhotometricError, check};
-use apply::Painter;
 use nodes::Nodes;
+pub use patch::SeamPatch;
 pub use samples::SeamPhoto;
 use samples::{find_seams, mean_step};
+use surface::Surface;
+pub use surface::{Levelled, Standing};
 
 /// How seams are levelled.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -96,11 +103,7 @@ pub fn level_seams(
     params: &SeamParams,
     texture: &mut AtlasTexture,
 ) -> Result<SeamReport, PhotometricError> {
-    check("reach of seam levelling", params.reach_m, 1e-6..=1e6)?;
-    check("weight of seam steps", params.step_weight, 1e-6..=1e6)?;
-    check("band of seam levelling", params.band_texel, 1e-3..=1e4)?;
-    check("largest seam step", params.max_step, 1e-6..=2.0)?;
-    check("misplacement at seams", params.misplaced_px, 0.0..=100.0)?;
+    params.check()?;
     let num_triangles = mesh.num_triangles();
     let num_in_layout = layout
         .corners_texel
@@ -114,36 +117,59 @@ pub fn level_seams(
         });
     }
     texture.check_fits(layout)?;
-    let source_of = |label: u32| sources.get(label as usize).copied();
-    let source_of_triangle: Vec<Option<TexelSource>> = labels
-        .iter()
-        .map(|label| label.and_then(source_of))
-        .collect();
+    let surface = Surface {
+        mesh,
+        layout,
+        labels,
+        sources: surface::sources_of(labels, sources),
+        part: None,
+    };
+    level(&surface, photos, params, &mut Vec::new(), texture)
+}
 
-    let nodes = Nodes::new(mesh, labels);
-    let mut seams = find_seams(mesh, layout, labels, &source_of_triangle)?;
+impl SeamParams {
+    fn check(&self) -> Result<(), PhotometricError> {
+        check("reach of seam levelling", self.reach_m, 1e-6..=1e6)?;
+        check("weight of seam steps", self.step_weight, 1e-6..=1e6)?;
+        check("band of seam levelling", self.band_texel, 1e-3..=1e4)?;
+        check("largest seam step", self.max_step, 1e-6..=2.0)?;
+        check("misplacement at seams", self.misplaced_px, 0.0..=100.0)
+    }
+}
+
+/// Levels a surface or part of one. `levelled`, as long as the mesh has triangles or empty, gets what
+/// is added to each triangle.
+fn level(
+    surface: &Surface<'_>,
+    photos: Option<&[Option<SeamPhoto>]>,
+    params: &SeamParams,
+    levelled: &mut [Levelled],
+    texture: &mut AtlasTexture,
+) -> Result<SeamReport, PhotometricError> {
+    let nodes = Nodes::new(surface);
+    let standing = nodes.standing(surface);
+    let mut seams = find_seams(surface)?;
     let mut report = SeamReport {
         num_seams: seams.len(),
-        num_unknowns: nodes.len(),
+        num_unknowns: nodes.len() - standing.iter().flatten().count(),
         ..SeamReport::default()
     };
-    let painter = Painter {
-        layout,
-        source_of_triangle: &source_of_triangle,
-    };
     let sample = |seams: &mut Vec<samples::Seam>, texture: &AtlasTexture| {
-        samples::sample(seams, layout, &source_of_triangle, texture, params.max_step);
-        mean_step(seams)
+        samples::sample(seams, surface, texture, params.max_step);
+        mean_step(seams, surface)
     };
     report.step_before = sample(&mut seams, texture);
     report.step_after_global = report.step_before;
     if let Some(photos) = photos {
-        samples::sample_photos(&mut seams, mesh, labels, photos, params);
+        samples::sample_photos(&mut seams, surface, photos, params);
     }
-    if params.has_global && !seams.is_empty() {
-        let (corrections, num_steps) = global::solve(mesh, &nodes, &seams, params);
+    // What stands beside may show a correction where there is no seam.
+    if params.has_global && !(seams.is_empty() && standing.is_empty()) {
+        let (corrections, num_steps) =
+            global::solve(surface.mesh, &nodes, &standing, &seams, params);
         report.num_solver_steps = num_steps;
-        report.num_changed_texels += global::paint(&painter, &nodes, &corrections, texture);
+        report.num_changed_texels += global::paint(surface, &nodes, &corrections, texture);
+        surface::keep_corners(levelled, &nodes, &corrections);
         let mut seen = seams.clone();
         report.step_after_global = sample(&mut seen, texture);
         match photos {
@@ -154,7 +180,13 @@ pub fn level_seams(
     report.step_after = report.step_after_global;
     if params.has_local && !seams.is_empty() {
         samples::shrink(&mut seams);
-        report.num_changed_texels += local::level(mesh, &painter, &nodes, &seams, params, texture);
+        let mut keep = |side: &samples::Side, added: &[[f32; 3]]| {
+            if let Some(levelled) = levelled.get_mut(side.triangle as usize) {
+                levelled.keep_along(side.corners, added);
+            }
+        };
+        report.num_changed_texels +=
+            local::level(surface, &nodes, &seams, params, &mut keep, texture);
         report.step_after = sample(&mut seams, texture);
     }
     Ok(report)

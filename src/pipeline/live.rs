@@ -5,7 +5,7 @@
 //! pointers, no copies) goes into a slot that holds one: [`Latest`]. [`Painter`] takes from it on
 //! a thread of its own and paints the whole with [`super::texture_scan()`], or what changed
 //! ([`PipelineParams::follows_changes`]); changes that come meanwhile coalesce, and the latest is
-//! painted next.
+//! painted next. Where none comes, what was painted is refined step by step.
 //!
 //! Where the whole is painted it depends on the events alone: once the stream has ended and is flushed, it is
 //! what [`super::run()`] makes of the same events with no keyframe held back.
@@ -231,6 +231,17 @@ pub struct Painted {
     pub stages: Vec<StageTime>,
 }
 
+/// What an idle step came to.
+#[derive(Debug)]
+pub enum IdleStep {
+    /// There was nothing to refine.
+    Nothing,
+    /// The texture is as it was; there may be more to do.
+    Unchanged,
+    /// The last capture's texture, refined in part.
+    Refined(Box<Painted>),
+}
+
 /// Paints captures; keeps decoded images between them.
 #[derive(Debug)]
 pub struct Painter {
@@ -266,7 +277,7 @@ impl Painter {
         params: &PipelineParams,
         progress: &dyn Progress,
     ) -> Result<Painted, PipelineError> {
-        if params.follows_changes && capture.is_paintable() {
+        if params.follows_changes() && capture.is_paintable() {
             return self.paint_changes(capture, params, progress);
         }
         let clock = StageClock::new(progress);
@@ -315,26 +326,69 @@ impl Painter {
         let memory = memory_plan(&capture, params);
         let decode_cache = usize::try_from(memory.decode_cache).unwrap_or(usize::MAX);
         self.stream.set_decode_cache_bytes(decode_cache);
-        let Streamed {
-            capture,
-            update,
-            stages,
-        } = self.stream.paint(capture, params, progress)?;
-        let Some(state) = self.stream.state() else {
+        let streamed = self.stream.paint(capture, params, progress)?;
+        self.shown(streamed, memory, params)
+    }
+
+    /// Whether [`Self::refine_some`] has something to do.
+    pub fn has_idle_work(&self) -> bool {
+        self.stream.has_idle_work()
+    }
+
+    /// Charts that wait to be refined, and keyframes whose pose does.
+    pub fn num_waiting(&self) -> [usize; 2] {
+        [
+            self.stream.num_charts_waiting(),
+            self.stream.num_poses_waiting(),
+        ]
+    }
+
+    /// Refines a bounded part of what was painted of changes; see [`StreamPainter::refine_some`].
+    ///
+    /// # Errors
+    /// [`PipelineError`] when a stage refuses its parameters.
+    pub fn refine_some(
+        &mut self,
+        params: &PipelineParams,
+        progress: &dyn Progress,
+    ) -> Result<IdleStep, PipelineError> {
+        let params = &params.memory.applied_to(params);
+        if !params.follows_changes() {
+            return Ok(IdleStep::Nothing);
+        }
+        let Some(step) = self.stream.refine_some(params, progress)? else {
+            return Ok(IdleStep::Nothing);
+        };
+        if !step.update.has_changes() {
+            return Ok(IdleStep::Unchanged);
+        }
+        let memory = memory_plan(&step.capture, params);
+        let refined = self.shown(step, memory, params)?;
+        Ok(IdleStep::Refined(Box::new(refined)))
+    }
+
+    /// What is shown of changes, for those who publish it.
+    fn shown(
+        &self,
+        streamed: Streamed,
+        memory: MemoryPlan,
+        params: &PipelineParams,
+    ) -> Result<Painted, PipelineError> {
+        let (Some(state), Some(texture)) = (self.stream.state(), self.stream.texture()) else {
             return Err(PipelineError::NoMesh("nothing is painted".to_owned()));
         };
         let mut mesh = state.mesh().clone();
-        let (mut layout, mut texture) = (state.layout().clone(), state.texture().clone());
+        let (mut layout, mut texture) = (state.layout().clone(), texture.clone());
         params.region.keep_own(&mut mesh, &mut layout, &mut texture);
         Ok(Painted {
             mesh,
             layout,
             texture,
-            keyframes: capture.keyframes.clone(),
-            update: Some(update),
+            keyframes: streamed.keyframes,
+            update: Some(streamed.update),
             memory,
-            capture,
-            stages,
+            capture: streamed.capture,
+            stages: streamed.stages,
         })
     }
 }

@@ -56,6 +56,8 @@ const KEYFRAME_SHARE: f64 = 0.25;
 const ATLAS_SHARE: f64 = 0.5;
 /// A texel of the atlas, and the copy that an export or a change of its page makes.
 const TEXEL_BYTES: f64 = 14.0;
+/// The same texel as TexInit left it, where what is shown of changes is refined.
+const BASE_TEXEL_BYTES: f64 = 8.0;
 /// A triangle in mesh, adjacency, charts and per-triangle results.
 const TRIANGLE_BYTES: u64 = 400;
 /// A pair of frame and triangle in the score tables, times the share of such pairs there are.
@@ -72,7 +74,7 @@ impl MemoryParams {
         if self.budget_mb > 0.0 {
             let keyframe = &mut params.keyframe;
             keyframe.budget_mb = keyframe.budget_mb.min(KEYFRAME_SHARE * self.budget_mb);
-            let max_texels = bytes(ATLAS_SHARE * self.budget_bytes() / TEXEL_BYTES);
+            let max_texels = bytes(ATLAS_SHARE * self.budget_bytes() / texel_bytes(&params));
             let pack = &mut params.texinit.pack;
             pack.max_texels = pack.max_texels.min(max_texels);
         }
@@ -95,7 +97,7 @@ impl MemoryParams {
         num_triangles: usize,
     ) -> MemoryPlan {
         let applied = self.applied_to(params);
-        let atlas = bytes(applied.texinit.pack.max_texels as f64 * TEXEL_BYTES);
+        let atlas = bytes(applied.texinit.pack.max_texels as f64 * texel_bytes(params));
         let pairs = num_keyframes as f64 * num_triangles as f64;
         let mut plan = MemoryPlan {
             budget: bytes(self.budget_bytes()),
@@ -110,13 +112,19 @@ impl MemoryParams {
             0 => u64::MAX,
             budget => budget.saturating_sub(plan.total()),
         };
-        if params.follows_changes {
+        if params.follows_changes() {
             plan.kept_views = bytes(params.stream.view_cache_mb * 1e6).min(left / 3);
         }
         let wanted = bytes(params.keyframe.decode_cache_mb * 1e6);
         plan.decode_cache = wanted.min(left - plan.kept_views);
         plan
     }
+}
+
+fn texel_bytes(params: &PipelineParams) -> f64 {
+    let seams = &params.refine.seams;
+    let has_base = params.follows_changes() && (seams.has_global || seams.has_local);
+    TEXEL_BYTES + if has_base { BASE_TEXEL_BYTES } else { 0.0 }
 }
 
 #[expect(
@@ -130,6 +138,7 @@ fn bytes(number: f64) -> u64 {
 
 #[cfg(test)]
 mod tests {
+    use super::super::StreamMode;
     use super::*;
 
     #[test]
@@ -153,7 +162,11 @@ mod tests {
             .flat_map(|budget_mb| [(budget_mb, false), (budget_mb, true)])
         {
             let params = PipelineParams {
-                follows_changes,
+                stream_mode: if follows_changes {
+                    StreamMode::Changes
+                } else {
+                    StreamMode::Whole
+                },
                 ..PipelineParams::default()
             };
             let memory = MemoryParams { budget_mb };

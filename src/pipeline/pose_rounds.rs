@@ -247,7 +247,7 @@ impl Rounds<'_> {
 }
 
 /// More than the noise of a new mosaic.
-fn has_risen(before: Option<f64>, after: Option<f64>) -> bool {
+pub(super) fn has_risen(before: Option<f64>, after: Option<f64>) -> bool {
     matches!((before, after), (Some(before), Some(after)) if after > 1.02 * before)
 }
 

@@ -144,7 +144,7 @@ pub fn level(
 }
 
 /// Columns of the photos that seams look at: a pixel is then a mean over what a seam is wide.
-const SEAM_PHOTO_WIDTH_PX: u32 = 480;
+pub(super) const SEAM_PHOTO_WIDTH_PX: u32 = 480;
 
 fn seam_photos(keyframes: &[Arc<Keyframe>], decode: &Decode<'_>) -> Vec<Option<SeamPhoto>> {
     keyframes

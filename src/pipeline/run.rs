@@ -10,6 +10,7 @@ use super::refine::{RefineParams, RefineReport};
 use super::region::RegionParams;
 use super::scan::gather;
 use super::stream::UpdateSummary;
+use super::stream::idle::{IdleParams, StreamMode};
 use super::texture::{Textured, texture_scan};
 use crate::ingest::{EventSource, IngestParams, IngestReport};
 use crate::keyframe::{Keyframe, KeyframeParams, KeyframeReport};
@@ -41,9 +42,11 @@ pub struct PipelineParams {
     pub texsmooth: TexSmoothParams,
     /// Whether [`super::Painter`] paints only what changed since its last capture, and replay is
     /// [`super::run_streamed`].
-    pub follows_changes: bool,
+    pub stream_mode: StreamMode,
     /// How it does that.
     pub stream: StreamParams,
+    /// How much is refined at a time while nothing changes.
+    pub idle: IdleParams,
     /// A checkpoint of the optimisation to go on from.
     pub smooth_from: Option<Arc<Vec<u8>>>,
     /// What is held back to judge the result.

@@ -3,39 +3,53 @@
 //!
 //! What is painted is TexInit's result ([`crate::texinit::stream`]), from photos with their gains where
 //! these are asked for: each keyframe gets its own when it comes, beside those that stand
-//! ([`stream_gains`]), and keeps it. What works on the whole texture at once (corrected poses, levelled
-//! seams, the optimisation) is refused, not left out.
+//! ([`stream_gains`]), and keeps it. Corrected poses and levelled seams follow in idle time ([`idle`]),
+//! part by part, on what changed. What works on the whole texture at once (the optimisation) is refused,
+//! not left out.
 //!
 //! [`stream()`] drives it by the time of the stream, so that the same events give the same updates.
 
+mod driver;
+pub mod idle;
+mod poses;
+mod refined;
 mod replayed;
+mod small_photos;
 mod stream_gains;
 
 use std::sync::Arc;
 
 use super::clock::StageClock;
-use super::live::{Capture, LiveScan, memory_plan};
+use super::live::{Capture, memory_plan};
 use super::progress::Progress;
 use super::refine::{self, RefineParams};
 use super::run::{PipelineError, PipelineParams, StageTime};
 use super::scan::prepared_mesh;
-use crate::geom::{ImageError, Stamp};
-use crate::ingest::EventSource;
+use crate::atlas::AtlasTexture;
+use crate::geom::ImageError;
 use crate::keyframe::{DecodedFrame, Keyframe, KeyframeParams, KeyframeStore};
 use crate::mesh::TriMesh;
 use crate::photometric::{CorrectedFrames, GainTable};
 use crate::texinit::TexInitParams;
 use crate::texinit::stream::{StreamInit, StreamParams, StreamUpdate};
 
+pub use driver::stream;
+use poses::StreamPoses;
+use refined::Refined;
 pub use replayed::{UpdateSummary, run_streamed};
+use small_photos::SmallPhotos;
 
-/// What a capture changed.
+/// What a capture or an idle step changed.
 #[derive(Debug)]
 pub struct Streamed {
     /// What was painted.
     pub capture: Capture,
+    /// Its keyframes as they painted: their poses corrected where that was asked for.
+    pub keyframes: Vec<Arc<Keyframe>>,
     /// What it changed.
     pub update: StreamUpdate,
+    /// Whether the capture had been painted before and was refined now.
+    pub is_idle_step: bool,
     /// Wall times, in order.
     pub stages: Vec<StageTime>,
 }
@@ -56,6 +70,13 @@ struct Kept {
     refine: RefineParams,
     gains: GainTable,
     weld: (f64, u32),
+    /// What was painted.
+    capture: Option<Capture>,
+    /// `None` where no seams are levelled: then the state's texture is shown.
+    refined: Option<Refined>,
+    /// `None` where poses are taken as they are.
+    poses: Option<StreamPoses>,
+    photos: SmallPhotos,
     /// The mesh as it arrived last, and as it was painted.
     prepared: Option<(Arc<TriMesh>, Arc<TriMesh>)>,
     /// Keyframes that wait for the next update.
@@ -84,6 +105,15 @@ impl StreamPainter {
     /// What is painted; `None` before the first capture, and after an error.
     pub fn state(&self) -> Option<&StreamInit> {
         self.kept.as_ref().map(|kept| &kept.state)
+    }
+
+    /// What is shown: the state's texture, with refined charts over it. `None` as [`Self::state`].
+    pub fn texture(&self) -> Option<&AtlasTexture> {
+        let kept = self.kept.as_ref()?;
+        Some(match &kept.refined {
+            Some(refined) => refined.texture(),
+            None => kept.state.texture(),
+        })
     }
 
     /// Keyframes of the last capture that the next update takes in.
@@ -128,7 +158,7 @@ impl StreamPainter {
         clock.begin("weld the mesh", 0);
         let mut kept = self.kept_for(params)?;
         let following = PipelineParams {
-            follows_changes: true,
+            stream_mode: super::StreamMode::Changes,
             ..params.clone()
         };
         let memory = memory_plan(&capture, &following);
@@ -137,50 +167,49 @@ impl StreamPainter {
             .set_decode_cache_bytes(usable(memory.decode_cache));
         kept.state.set_view_bytes(usable(memory.kept_views));
         let mesh = kept.prepared_mesh(&capture, params)?;
+        let keyframes = match &mut kept.poses {
+            Some(poses) => poses.keep_up(&capture.keyframes),
+            None => capture.keyframes.clone(),
+        };
         let recorded = |keyframe: &Keyframe| self.store.decode(keyframe);
         if params.refine.has_gain {
             clock.begin("balance exposure", 0);
-            stream_gains::keep_up(
-                &mut kept.gains,
-                &capture.keyframes,
-                &recorded,
-                &params.refine,
-            );
+            stream_gains::keep_up(&mut kept.gains, &keyframes, &recorded, &params.refine);
         }
         let corrected = refine::corrected(&recorded, &kept.gains, &params.refine);
         let decode = |keyframe: &Keyframe| corrected.decode(keyframe);
-        let updated = kept
-            .state
-            .update(&mesh, &capture.keyframes, &decode, &clock);
-        let update = updated?;
-        kept.num_waiting = update.num_frames_waiting;
+        let update = kept.state.update(&mesh, &keyframes, &decode, &clock)?;
+        kept.note(&update);
+        let present = |id| keyframes.binary_search_by_key(&id, |keyframe| keyframe.id);
+        kept.photos.retain(|id| present(id).is_ok());
+        kept.capture = Some(capture.clone());
         self.kept = Some(kept);
         Ok(Streamed {
             capture,
+            keyframes,
             update,
+            is_idle_step: false,
             stages: clock.finish(),
         })
     }
 
     /// What was painted with the same settings, or nothing.
     fn kept_for(&mut self, params: &PipelineParams) -> Result<Kept, PipelineError> {
-        let weld = (params.weld_tolerance_m, params.num_subdivisions);
-        let is_same = |kept: &Kept| {
-            kept.texinit == params.texinit
-                && kept.stream == params.stream
-                && kept.refine == params.refine
-                && kept.weld == weld
-        };
-        if let Some(kept) = self.kept.take().filter(is_same) {
+        if let Some(kept) = self.kept.take().filter(|kept| kept.is_for(params)) {
             return Ok(kept);
         }
+        let seams = &params.refine.seams;
         Ok(Kept {
             state: StreamInit::new(&params.texinit, &params.stream)?,
             texinit: params.texinit.clone(),
             stream: params.stream.clone(),
             refine: params.refine.clone(),
             gains: GainTable::default(),
-            weld,
+            weld: (params.weld_tolerance_m, params.num_subdivisions),
+            capture: None,
+            refined: (seams.has_global || seams.has_local).then(Refined::default),
+            poses: params.refine.has_pose.then(StreamPoses::default),
+            photos: SmallPhotos::default(),
             prepared: None,
             num_waiting: 0,
         })
@@ -188,6 +217,30 @@ impl StreamPainter {
 }
 
 impl Kept {
+    /// Whether it was painted with these settings.
+    fn is_for(&self, params: &PipelineParams) -> bool {
+        self.texinit == params.texinit
+            && self.stream == params.stream
+            && self.refine == params.refine
+            && self.weld == (params.weld_tolerance_m, params.num_subdivisions)
+    }
+
+    /// Takes over what the state changed.
+    fn note(&mut self, update: &StreamUpdate) {
+        self.num_waiting = update.num_frames_waiting;
+        if let Some(refined) = &mut self.refined {
+            refined.follow(&self.state, update);
+        }
+    }
+
+    /// Recorded keyframes as they paint.
+    fn painting(&self, recorded: &[Arc<Keyframe>]) -> Vec<Arc<Keyframe>> {
+        match &self.poses {
+            Some(poses) => poses.painting().collect(),
+            None => recorded.to_vec(),
+        }
+    }
+
     fn prepared_mesh(
         &mut self,
         capture: &Capture,
@@ -211,70 +264,8 @@ impl Kept {
 }
 
 fn check(params: &PipelineParams) -> Result<(), PipelineError> {
-    let refine = &params.refine;
-    let whole = [
-        ("photometric.pose", refine.has_pose),
-        ("photometric.global_seams", refine.seams.has_global),
-        ("photometric.local_seams", refine.seams.has_local),
-        ("texsmooth.steps", params.texsmooth.num_steps > 0),
-    ];
-    match whole.into_iter().find(|(_, is_on)| *is_on) {
-        Some((name, _)) => Err(PipelineError::WholeScanOnly(name)),
-        None => Ok(()),
+    if params.texsmooth.num_steps > 0 {
+        return Err(PipelineError::WholeScanOnly("texsmooth.iterations"));
     }
-}
-
-/// Paints a stream as it comes: whenever keyframes or mesh changed and `period_s` of the stream's time
-/// went by since the last time, and once more at its end. `see` is shown every update.
-///
-/// # Errors
-/// [`PipelineError`] of the first update that failed, and when the stream held nothing to paint.
-pub fn stream(
-    source: &mut dyn EventSource,
-    params: &PipelineParams,
-    period_s: f64,
-    progress: &dyn Progress,
-    see: &mut dyn FnMut(&StreamPainter, &Streamed),
-) -> Result<StreamPainter, PipelineError> {
-    let mut scan = LiveScan::new(params, source.topics(), 0);
-    let mut painter = StreamPainter::new(&params.keyframe);
-    let mut painted: Option<(Stamp, u64)> = None;
-    let mut paint = |scan: &LiveScan, painter: &mut StreamPainter| {
-        let capture = scan.capture();
-        if !capture.is_paintable() {
-            return Ok(None);
-        }
-        let at = (capture.stamp, capture.revision);
-        let streamed = painter.paint(capture, params, progress)?;
-        see(painter, &streamed);
-        Ok::<_, PipelineError>(Some(at))
-    };
-    while let Some(event) = source.next_event() {
-        let now = event.received;
-        let has_changed = scan.push(event);
-        let is_due = match painted {
-            Some((at, revision)) => {
-                let has_work = revision != scan.revision() || painter.num_waiting() > 0;
-                has_work && now.seconds_since(at) >= period_s
-            }
-            None => has_changed,
-        };
-        if is_due {
-            painted = paint(&scan, &mut painter)?.or(painted);
-        }
-    }
-    scan.flush();
-    if painted.is_none_or(|(_, revision)| revision != scan.revision()) {
-        painted = paint(&scan, &mut painter)?.or(painted);
-    }
-    while painter.num_waiting() > 0 {
-        painted = paint(&scan, &mut painter)?.or(painted);
-    }
-    match painted {
-        Some(_) => Ok(painter),
-        None if scan.capture().mesh.is_none() => {
-            Err(PipelineError::NoMesh("none has arrived".to_owned()))
-        }
-        None => Err(PipelineError::NoKeyframe("none was kept".to_owned())),
-    }
+    Ok(())
 }

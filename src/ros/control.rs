@@ -60,6 +60,11 @@ impl Control {
         }
         *state = goal;
         drop(state);
+        if transition == Transition::Configure
+            && let Some(reason) = self.shared.why_whole()
+        {
+            tracing::warn!("the whole scan is painted at every change: {reason}");
+        }
         self.apply();
         tracing::info!(
             "{}: {} → {}",

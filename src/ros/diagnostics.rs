@@ -88,6 +88,8 @@ pub(super) struct Observation<'a> {
     pub(super) complaints: &'a [String],
     pub(super) capture: Option<&'a Capture>,
     pub(super) paint: &'a PaintStatus,
+    /// Why each change paints the whole, where that was not asked for.
+    pub(super) why_whole: Option<&'a str>,
     pub(super) num_captures_replaced: u64,
     pub(super) outputs: &'a [OutputCounts],
     /// Messages that each output keeps.
@@ -445,6 +447,9 @@ fn painting(seen: &Observation<'_>) -> Finding {
         value("coverage", format!("{:.3}", paint.coverage)),
         value("revision painted", paint.revision),
         value("is painting", paint.is_painting),
+        value("idle steps", paint.num_idle_steps),
+        value("charts to refine", paint.num_charts_waiting),
+        value("keyframes to align", paint.num_poses_waiting),
     ];
     for (name, stage) in &paint.stages {
         values.push(value(
@@ -452,10 +457,13 @@ fn painting(seen: &Observation<'_>) -> Finding {
             format!("{:.3}", stage.last_s),
         ));
     }
-    let fine = match paint.num_painted {
+    let mut fine = match paint.num_painted {
         0 => "nothing was painted yet".to_owned(),
         num => format!("painted {num} times"),
     };
+    if let Some(reason) = seen.why_whole {
+        fine += &format!("; each change paints the whole: {reason}");
+    }
     finding("painting", problems, fine, values)
 }
 

@@ -1,7 +1,8 @@
 //! The threads that ingest and paint, and the orders that they take.
 //!
 //! Ingest decodes what waits in the inbox and selects keyframes; it never waits for painting.
-//! Painting takes the latest capture, at most one in `paint_period`, and hands on what it made.
+//! Painting takes the latest capture, at most one in `paint_period`, and hands on what it made; while
+//! none comes it refines that.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -12,9 +13,7 @@ use std::time::{Duration, Instant};
 
 use crate::config::Config;
 use crate::ingest::{EventSource, TimedEvent};
-use crate::pipeline::{
-    Capture, EarlierScan, Latest, LiveScan, MemoryPlan, NoProgress, Painted, Painter,
-};
+use crate::pipeline::{Capture, EarlierScan, Latest, LiveScan, MemoryPlan, Painted};
 use crate::publish::Snapshot;
 
 use super::error::NodeError;
@@ -23,6 +22,9 @@ use super::inbox::Inbox;
 use super::inputs::Input;
 use super::journal::{JournalSlot, JournalThread};
 use super::source::{LiveSource, Polled};
+use painting::paint;
+
+mod painting;
 
 /// How long ingest sleeps at a time.
 const POLL: Duration = Duration::from_millis(100);
@@ -75,6 +77,12 @@ pub(super) struct PaintStatus {
     pub(super) num_cached_bytes: usize,
     /// How memory is divided.
     pub(super) memory: MemoryPlan,
+    /// Steps that refined while nothing new came.
+    pub(super) num_idle_steps: u64,
+    /// Charts that wait for that.
+    pub(super) num_charts_waiting: usize,
+    /// Keyframes whose pose waits to be measured.
+    pub(super) num_poses_waiting: usize,
 }
 
 /// A painting as it is published.
@@ -152,6 +160,11 @@ impl Shared {
     pub(super) fn config(&self) -> Config {
         let config = self.config.read().unwrap_or_else(PoisonError::into_inner);
         config.clone()
+    }
+
+    /// Why each change paints the whole, where that was not asked for.
+    pub(super) fn why_whole(&self) -> Option<String> {
+        self.config().pipeline.for_live().1
     }
 
     /// From now on another configuration.
@@ -399,109 +412,4 @@ impl Ingest<'_> {
             *lock(&self.shared.view) = Some(self.scan.capture());
         }
     }
-}
-
-fn paint(shared: &Shared) {
-    let mut painter = Painter::new(&shared.config().pipeline.keyframe);
-    let mut begun: Option<Instant> = None;
-    let mut painted_revision = None;
-    let mut left_over: Option<(u64, Capture)> = None;
-    while !shared.captures.is_shut() {
-        let config = shared.config();
-        let period = Duration::from_secs_f64(config.node.paint_period_s);
-        if let Some(left) = begun.and_then(|at| period.checked_sub(at.elapsed()))
-            && !left.is_zero()
-        {
-            std::thread::sleep(left.min(POLL));
-            continue;
-        }
-        // Of many new keyframes some wait, and come even where nothing else does.
-        let waiting = left_over.take();
-        let waiting = waiting.filter(|(num_resets, _)| *num_resets == shared.num_resets());
-        let waiting = waiting.map(|(_, capture)| capture);
-        let newest = match waiting {
-            Some(_) => shared.captures.take(Duration::ZERO),
-            None => shared.captures.take(POLL),
-        };
-        let has_waiting = waiting.is_some();
-        let Some(capture) = newest.or(waiting) else {
-            continue;
-        };
-        let is_forced = shared.retexture.swap(false, Ordering::Relaxed) || has_waiting;
-        if painted_revision == Some(capture.revision) && !is_forced {
-            continue;
-        }
-        begun = Some(Instant::now());
-        let num_resets = shared.num_resets();
-        let revision = capture.revision;
-        lock(&shared.paint_status).is_painting = true;
-        let mut params = config.pipeline;
-        if shared.refine.swap(false, Ordering::Relaxed) {
-            params.texsmooth.num_steps = params.texsmooth.num_steps.max(config.node.refine_steps);
-            // The optimisation works on the whole texture.
-            params.follows_changes = false;
-        }
-        let result = painter.paint(capture, &params, &NoProgress);
-        painted_revision = Some(revision);
-        let mut status = lock(&shared.paint_status);
-        status.is_painting = false;
-        status.num_cached_bytes = painter.num_cached_bytes();
-        match result {
-            Ok(painted) => {
-                let update = painted.update.as_ref();
-                if update.is_some_and(|update| update.num_frames_waiting > 0)
-                    && shared.num_resets() == num_resets
-                {
-                    left_over = Some((num_resets, painted.capture.clone()));
-                }
-                note(&mut status, &painted);
-                let number = status.num_painted;
-                drop(status);
-                // What was painted before a reset is of no use to those who asked for it.
-                if shared.num_resets() == num_resets {
-                    let painting = Arc::new(Painting {
-                        session: shared.first_session + num_resets,
-                        revision: number,
-                        painted,
-                    });
-                    *lock(&shared.last_painted) = Some(Arc::clone(&painting));
-                    shared.painted.put(painting);
-                }
-            }
-            Err(error) => {
-                status.num_failed += 1;
-                status.last_error = Some(error.to_string());
-                tracing::error!("the scan was not painted: {error}");
-            }
-        }
-    }
-}
-
-fn note(status: &mut PaintStatus, painted: &Painted) {
-    status.num_painted += 1;
-    status.last_error = None;
-    status.revision = painted.capture.revision;
-    status.memory = painted.memory;
-    for stage in &painted.stages {
-        let entry = status.stages.entry(stage.name).or_default();
-        entry.num_runs += 1;
-        entry.last_s = stage.seconds;
-        entry.sum_s += stage.seconds;
-    }
-    let texture = &painted.texture;
-    status.num_pages = texture.pages.len();
-    status.num_charts = painted.layout.charts.len();
-    let texels = texture.pages.iter().flat_map(|page| &page.source);
-    let (mut num_painted, mut num_covered) = (0_u64, 0_u64);
-    for source in texels {
-        let is_covered = *source != crate::atlas::TexelSource::NONE
-            && *source != crate::atlas::TexelSource::GUTTER;
-        num_covered += u64::from(is_covered);
-        num_painted += u64::from(source.as_keyframe().is_some());
-    }
-    status.coverage = if num_covered == 0 {
-        0.0
-    } else {
-        num_painted as f32 / num_covered as f32
-    };
 }

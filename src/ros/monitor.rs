@@ -276,6 +276,7 @@ impl Monitor {
         let paint = shared.paint_status();
         let outputs = self.output.counts();
         let journal = shared.journal.status();
+        let why_whole = shared.why_whole();
         let seen = Observation {
             state: control.state(),
             is_paused: control.is_paused(),
@@ -284,6 +285,7 @@ impl Monitor {
             complaints: &complaints,
             capture: capture.as_ref(),
             paint: &paint,
+            why_whole: why_whole.as_deref(),
             num_captures_replaced: shared.num_captures_replaced(),
             outputs: &outputs,
             publish_depth: config.node.publish_depth,

@@ -102,7 +102,28 @@ fn queues<'a>(seen: &Observation<'a>) -> Vec<QueueStatus<'a>> {
         capacity: small(journal.num_keyframes),
         num_dropped: 0,
     });
-    inputs.chain([captures]).chain(journal).collect()
+    let paint = seen.paint;
+    let num_keyframes = seen.capture.map_or(0, |capture| capture.keyframes.len());
+    let refined = [
+        (
+            "charts to be refined",
+            paint.num_charts_waiting,
+            paint.num_charts,
+        ),
+        (
+            "keyframes to be aligned",
+            paint.num_poses_waiting,
+            num_keyframes,
+        ),
+    ];
+    let refined = refined.map(|(name, length, capacity)| QueueStatus {
+        name,
+        length: small(length),
+        capacity: small(capacity),
+        num_dropped: 0,
+    });
+    let queues = inputs.chain([captures]).chain(refined);
+    queues.chain(journal).collect()
 }
 
 fn stages<'a>(seen: &Observation<'a>) -> Vec<StageStatus<'a>> {

@@ -47,7 +47,7 @@ use std::sync::Arc;
 
 use crate::atlas::{AtlasLayout, AtlasTexture, ChartPlacer, PackError, TexelRect};
 use crate::keyframe::Keyframe;
-use crate::mesh::{DiffCounts, DiffError, DiffParams, TrackedMesh, TriMesh};
+use crate::mesh::{DiffCounts, DiffError, DiffParams, TrackedMesh, TriMesh, TriangleId};
 use crate::render::{MeshRuns, VisibilityParams};
 
 use super::assign::cues::FrameWorkspace;
@@ -156,6 +156,15 @@ pub struct StreamUpdate {
     pub num_pairs_scored: usize,
     /// Triangles whose texels were painted.
     pub num_triangles_painted: usize,
+}
+
+impl StreamUpdate {
+    /// Whether charts or texels are others than before.
+    pub fn has_changes(&self) -> bool {
+        let lists = [&self.new_charts, &self.changed_charts, &self.gone_charts];
+        let has_charts = lists.iter().any(|list| !list.is_empty());
+        has_charts || !self.dirty_rects.is_empty() || self.has_new_pages
+    }
 }
 
 /// A textured scan that is kept up.
@@ -404,6 +413,20 @@ impl StreamInit {
         let mut all = chart_table::joined(&self.mesh, parts, self.failed_frames());
         all.report.num_frames = self.frames.num_usable();
         all
+    }
+
+    /// Which keyframe paints a triangle, by number.
+    pub fn label_of(&self, triangle: TriangleId) -> Option<u32> {
+        let chart = self.layout.chart_of_triangle.get(triangle.index())?;
+        let chart = &self.charts[chart.index()];
+        chart.labels.assignment().label[triangle.index() - chart.first_triangle()]
+    }
+
+    /// [`Self::label_of`] for all triangles.
+    pub fn labels(&self) -> Vec<Option<u32>> {
+        let charts = self.charts.iter();
+        let labels = charts.flat_map(|chart| chart.labels.assignment().label.iter().copied());
+        labels.collect()
     }
 
     /// Keyframes that could not be used, by number.

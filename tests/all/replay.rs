@@ -57,7 +57,7 @@ fn runs_and_thread_counts_give_the_same_bytes() {
 fn a_replay_that_follows_changes_gives_the_same_bytes_and_says_what_it_did() {
     let dir = tempfile::tempdir().unwrap();
     let bag = small_tabletop(dir.path(), &["--grow", "4"]);
-    let follow = ["-p", "stream.enabled:=true", "-p", "paint_period:=0"];
+    let follow = ["-p", "stream.mode:=changes", "-p", "paint_period:=0"];
     let run = |name: &str, threads| {
         let out = dir.path().join(name);
         let hashes = replay(&bag, &out, &[&follow[..], &["--threads", threads]].concat());
@@ -70,22 +70,53 @@ fn a_replay_that_follows_changes_gives_the_same_bytes_and_says_what_it_did() {
     assert!(updates["value"].as_u64().unwrap() > 4, "{updates}");
     assert!(told["coverage"]["keyframe_share"].as_f64().unwrap() > 0.1);
     // What needs the whole texture is refused by name.
-    let refused = veneer(&[
-        "replay",
-        bag.to_str().unwrap(),
+    let out = dir.path().join("refused");
+    let mut args = vec!["replay", bag.to_str().unwrap()];
+    args.extend([
         "--out",
-        dir.path().join("refused").to_str().unwrap(),
+        out.to_str().unwrap(),
         "-p",
-        "stream.enabled:=true",
-        "-p",
-        "photometric.pose:=true",
+        "texsmooth.iterations:=3",
     ]);
+    let refused = veneer(&[&args[..], &follow].concat());
     assert!(!refused.status.success());
     assert!(
-        said(&refused).contains("photometric.pose"),
+        said(&refused).contains("texsmooth.iterations"),
         "{}",
         said(&refused)
     );
+}
+
+#[test]
+fn refinement_in_idle_time_gives_the_same_bytes() {
+    let dir = tempfile::tempdir().unwrap();
+    let bag = small_tabletop(dir.path(), &["--grow", "4", "--pose-noise-rad", "0.01"]);
+    let settings = [
+        "stream.mode:=changes",
+        "paint_period:=0.1",
+        "photometric.global_seams:=true",
+        "photometric.local_seams:=true",
+        "photometric.pose:=true",
+        "stream.idle_keyframes:=3",
+    ];
+    let settings: Vec<&str> = settings.iter().flat_map(|s| ["-p", *s]).collect();
+    let run = |name: &str, threads| {
+        let out = dir.path().join(name);
+        let hashes = replay(
+            &bag,
+            &out,
+            &[&settings[..], &["--threads", threads]].concat(),
+        );
+        (hashes, report(&out))
+    };
+    let (reference, told) = run("1", "1");
+    assert_eq!(run("4", "4").0, reference);
+    let details = told["charts"]["details"].as_array().unwrap();
+    let steps = details
+        .iter()
+        .find(|row| row["name"] == "idle steps")
+        .unwrap();
+    assert!(steps["value"].as_u64().unwrap() > 3, "{steps}");
 }
 
 #[test]

@@ -275,6 +275,7 @@ fn charts(run: &Run) -> ChartSummary {
                     "triangles painted in all",
                     updates.num_triangles_painted as u64,
                 ),
+                Count::new("idle steps", updates.num_idle_steps as u64),
             ],
             ..ChartSummary::default()
         };

@@ -2,10 +2,11 @@
 
 use rayon::prelude::*;
 
+use crate::atlas::AtlasTexture;
 use crate::atlas::texels::for_each_texel_within;
-use crate::atlas::{AtlasLayout, AtlasTexture, TexelSource};
 use crate::geom::color::{linear_from_srgb, srgb_from_linear};
-use crate::mesh::TriangleId;
+
+use super::surface::Surface;
 
 /// Triangles done at a time; bounds what is held before it is written.
 const TRIANGLES_PER_BATCH: u32 = 8192;
@@ -13,18 +14,12 @@ const TRIANGLES_PER_BATCH: u32 = 8192;
 /// A correction takes at most this share of the way to black or to white.
 const MAX_WAY: f32 = 0.7;
 
-/// Who writes texels.
-pub(super) struct Painter<'a> {
-    pub(super) layout: &'a AtlasLayout,
-    pub(super) source_of_triangle: &'a [Option<TexelSource>],
-}
-
 /// A texel and its new colour.
 type Written = (u32, [u8; 3]);
 
-impl Painter<'_> {
+impl Surface<'_> {
     /// Adds to each texel that shows its triangle's label what `correction_of(triangle)` gives for
-    /// its barycentric weights. Returns how many changed.
+    /// its barycentric weights, in triangles that are levelled now. Returns how many changed.
     pub(super) fn paint<F: FnMut([f32; 3]) -> Option<[f32; 3]>>(
         &self,
         texture: &mut AtlasTexture,
@@ -32,16 +27,17 @@ impl Painter<'_> {
     ) -> usize {
         let mut num_changed = 0;
         #[expect(clippy::cast_possible_truncation, reason = "triangles are u32")]
-        let num_triangles = self.source_of_triangle.len() as u32;
+        let num_triangles = self.sources.len() as u32;
         let batches = (0..num_triangles).step_by(TRIANGLES_PER_BATCH as usize);
         for first in batches {
             let last = num_triangles.min(first + TRIANGLES_PER_BATCH);
             let pages = &*texture;
             let written: Vec<(u32, Vec<Written>)> = (first..last)
                 .into_par_iter()
+                .filter(|triangle| self.is_levelled(*triangle))
                 .filter_map(|triangle| {
                     let correction = correction_of(triangle)?;
-                    let page = self.layout.page_of(TriangleId(triangle));
+                    let page = self.page_of(triangle);
                     Some((page, self.corrected(triangle, page, pages, correction)?))
                 })
                 .collect();
@@ -64,9 +60,9 @@ impl Painter<'_> {
         texture: &AtlasTexture,
         mut correction: impl FnMut([f32; 3]) -> Option<[f32; 3]>,
     ) -> Option<Vec<Written>> {
-        let source = self.source_of_triangle[triangle as usize]?;
+        let source = self.sources[triangle as usize]?;
         let page = texture.pages.get(page as usize)?;
-        let corners = &self.layout.corners_texel[triangle as usize];
+        let corners = self.corners_texel(triangle);
         let mut texels = Vec::new();
         for_each_texel_within(corners, self.layout.page_size_texel, |x, y, weights| {
             let index = y * page.width + x;

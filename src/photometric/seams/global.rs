@@ -5,9 +5,9 @@ use crate::mesh::TriMesh;
 
 use super::super::conjugate::{self, Stop};
 use super::SeamParams;
-use super::apply::Painter;
 use super::nodes::{NO_NODE, Nodes};
 use super::samples::{Seam, belief};
+use super::surface::Surface;
 
 /// Corrections below this are nothing that a byte could show.
 const MIN_CORRECTION: f32 = 1e-4;
@@ -26,10 +26,12 @@ struct Link {
     wanted: [f64; 3],
 }
 
-/// Solves for the corrections; the second is the number of solver steps.
+/// Solves for the corrections beside those that stand ([`Nodes::standing`]); the second is the number
+/// of solver steps.
 pub(super) fn solve(
     mesh: &TriMesh,
     nodes: &Nodes,
+    standing: &[Option<[f32; 3]>],
     seams: &[Seam],
     params: &SeamParams,
 ) -> (Vec<[f32; 3]>, usize) {
@@ -50,31 +52,49 @@ pub(super) fn solve(
             rhs[link.to as usize][c] += link.weight * wanted;
         }
     }
+    if !standing.is_empty() {
+        laplacian.hold(standing, &mut rhs);
+    }
     let mut x = vec![[0.0; 3]; nodes.len()];
     let stop = Stop {
         tolerance: 1e-4,
         max_steps: 1000,
     };
     let num_steps = conjugate::solve(
-        |x, out| laplacian.apply(x, out),
+        |x, out| {
+            laplacian.apply(x, out);
+            release(standing, out);
+        },
         &laplacian.diagonal,
         &rhs,
         &mut x,
         &stop,
     );
     #[expect(clippy::cast_possible_truncation, reason = "rounding to f32 is meant")]
-    let corrections = x.iter().map(|g| g.map(|value| value as f32)).collect();
+    let mut corrections: Vec<[f32; 3]> = x.iter().map(|g| g.map(|value| value as f32)).collect();
+    for (correction, standing) in corrections.iter_mut().zip(standing) {
+        *correction = standing.unwrap_or(*correction);
+    }
     (corrections, num_steps)
+}
+
+/// Takes the equations of nodes that stand out.
+fn release(standing: &[Option<[f32; 3]>], rows: &mut [[f64; 3]]) {
+    for (row, standing) in rows.iter_mut().zip(standing) {
+        if standing.is_some() {
+            *row = [0.0; 3];
+        }
+    }
 }
 
 /// Adds the corrections; returns how many texels changed.
 pub(super) fn paint(
-    painter: &Painter<'_>,
+    surface: &Surface<'_>,
     nodes: &Nodes,
     corrections: &[[f32; 3]],
     texture: &mut AtlasTexture,
 ) -> usize {
-    painter.paint(texture, |triangle| {
+    surface.paint(texture, |triangle| {
         let corners = nodes.of(triangle);
         if corners.contains(&NO_NODE) {
             return None;
@@ -200,6 +220,22 @@ impl Laplacian {
             columns,
             weights,
         }
+    }
+
+    /// Takes what stands to the right-hand side: what is left to solve for is 0 there.
+    fn hold(&self, standing: &[Option<[f32; 3]>], rhs: &mut [[f64; 3]]) {
+        let held: Vec<[f64; 3]> = standing
+            .iter()
+            .map(|standing| standing.unwrap_or_default().map(f64::from))
+            .collect();
+        let mut product = vec![[0.0; 3]; held.len()];
+        self.apply(&held, &mut product);
+        for (row, product) in rhs.iter_mut().zip(product) {
+            for (row, product) in row.iter_mut().zip(product) {
+                *row -= product;
+            }
+        }
+        release(standing, rhs);
     }
 
     fn apply(&self, x: &[[f64; 3]], out: &mut [[f64; 3]]) {

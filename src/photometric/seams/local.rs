@@ -3,12 +3,12 @@
 use nalgebra::Point3;
 
 use crate::atlas::AtlasTexture;
-use crate::mesh::{TriMesh, TriangleId};
+use crate::mesh::TriangleId;
 
 use super::SeamParams;
-use super::apply::Painter;
 use super::nodes::{NO_NODE, Nodes};
-use super::samples::Seam;
+use super::samples::{Seam, Side};
+use super::surface::Surface;
 
 /// The band is at most this share of the mean edge: triangles that touch no seam are not looked at.
 const MAX_BAND_SHARE: f64 = 0.6;
@@ -22,20 +22,34 @@ struct Stretch {
 }
 
 impl Stretch {
-    fn new(mesh: &TriMesh, seam: &Seam, side: usize) -> Option<Self> {
-        let sign = if side == 0 { 0.5 } else { -0.5 };
-        let known = filled(&seam.steps)?;
-        let num_known = known.len();
-        let added = (0..num_known).map(|k| {
-            let before = &known[k.saturating_sub(1)];
-            let after = &known[(k + 1).min(num_known - 1)];
-            std::array::from_fn(|c| sign * 0.25 * (before[c] + 2.0 * known[k][c] + after[c]))
-        });
-        let [start_m, end_m] = seam.ends.map(|v| mesh.positions_m()[v as usize]);
+    /// A side that stands has what was added to it; one beside such a side makes up for the whole of
+    /// what is left; others for half of the step.
+    fn new(surface: &Surface<'_>, seam: &Seam, side: usize) -> Option<Self> {
+        let taken = |side: usize| taken(surface, seam, side);
+        let added = match (surface.standing(seam.sides[side].triangle), taken(1 - side)) {
+            (Some(_), _) => {
+                let is_any = |added: &Vec<[f32; 3]>| added.iter().flatten().any(|a| *a != 0.0);
+                taken(side).filter(is_any)?
+            }
+            (None, None) => {
+                let sign = if side == 0 { 0.5 } else { -0.5 };
+                smoothed(&filled(&seam.steps)?, sign)
+            }
+            (None, Some(others)) => {
+                let sign = if side == 0 { 1.0 } else { -1.0 };
+                let mut added = smoothed(&filled(&seam.steps)?, sign);
+                for (added, other) in added.iter_mut().flatten().zip(others.iter().flatten()) {
+                    *added += other;
+                }
+                added
+            }
+        };
+        let positions_m = surface.mesh.positions_m();
+        let [start_m, end_m] = seam.ends.map(|v| positions_m[v as usize]);
         Some(Self {
             start_m,
             end_m,
-            added: added.collect(),
+            added,
         })
     }
 
@@ -60,6 +74,33 @@ impl Stretch {
     }
 }
 
+/// What was added to a side that stands, at the seam's samples in its direction; `None` for one that
+/// does not stand.
+fn taken(surface: &Surface<'_>, seam: &Seam, side: usize) -> Option<Vec<[f32; 3]>> {
+    let Side { triangle, corners } = seam.sides[side];
+    let levelled = surface.standing(triangle)?;
+    let num_samples = seam.steps.len();
+    let along = levelled.map_or(&[][..], |levelled| levelled.along(corners));
+    let is_forward = corners[1] == (corners[0] + 1) % 3;
+    let sample = |k: usize| {
+        let k = if is_forward { k } else { num_samples - 1 - k };
+        // The number of samples follows the longer of two sides, whose texels may be others by now.
+        let nearest = (2 * k + 1) * along.len() / (2 * num_samples);
+        along.get(nearest).copied().unwrap_or([0.0; 3])
+    };
+    Some((0..num_samples).map(sample).collect())
+}
+
+/// Each step mixed with those beside it, times `sign`.
+fn smoothed(steps: &[[f32; 3]], sign: f32) -> Vec<[f32; 3]> {
+    let last = steps.len() - 1;
+    let mixed = |k: usize| {
+        let (before, after) = (&steps[k.saturating_sub(1)], &steps[(k + 1).min(last)]);
+        std::array::from_fn(|c| sign * 0.25 * (before[c] + 2.0 * steps[k][c] + after[c]))
+    };
+    (0..steps.len()).map(mixed).collect()
+}
+
 /// Unknown steps taken from the nearest known one; `None` when all are unknown.
 fn filled(steps: &[Option<[f32; 3]>]) -> Option<Vec<[f32; 3]>> {
     let mut current = *steps.iter().flatten().next()?;
@@ -70,23 +111,26 @@ fn filled(steps: &[Option<[f32; 3]>]) -> Option<Vec<[f32; 3]>> {
     Some(forward.collect())
 }
 
-/// Levels the bands; returns how many texels changed.
+/// Levels the bands; returns how many texels changed. `keep` is shown what is added along a side: the
+/// triangle, its corners at the ends, and the colours from the first corner on.
 pub(super) fn level(
-    mesh: &TriMesh,
-    painter: &Painter<'_>,
+    surface: &Surface<'_>,
     nodes: &Nodes,
     seams: &[Seam],
     params: &SeamParams,
+    keep: &mut dyn FnMut(&Side, &[[f32; 3]]),
     texture: &mut AtlasTexture,
 ) -> usize {
+    let mesh = surface.mesh;
     let mut stretches = Vec::with_capacity(2 * seams.len());
     // (node, stretch), so that a triangle finds the seams at its corners.
     let mut at_node: Vec<(u32, u32)> = Vec::with_capacity(4 * seams.len());
     for seam in seams {
         for (index, side) in seam.sides.iter().enumerate() {
-            let Some(stretch) = Stretch::new(mesh, seam, index) else {
+            let Some(stretch) = Stretch::new(surface, seam, index) else {
                 continue;
             };
+            keep(side, &stretch.added);
             #[expect(clippy::cast_possible_truncation, reason = "fewer than half-edges")]
             let number = stretches.len() as u32;
             stretches.push(stretch);
@@ -95,8 +139,8 @@ pub(super) fn level(
         }
     }
     at_node.sort_unstable();
-    let band_m = band_m(mesh, painter, params);
-    painter.paint(texture, |triangle| {
+    let band_m = band_m(surface, params);
+    surface.paint(texture, |triangle| {
         let corners = nodes.of(triangle);
         let mut near: Vec<u32> = corners
             .into_iter()
@@ -150,8 +194,9 @@ fn faded(stretches: &[&Stretch], point_m: &Point3<f64>, band_m: f64) -> Option<[
     })
 }
 
-fn band_m(mesh: &TriMesh, painter: &Painter<'_>, params: &SeamParams) -> f64 {
-    let texels_per_m = painter.layout.texels_per_m.max(f64::MIN_POSITIVE);
+fn band_m(surface: &Surface<'_>, params: &SeamParams) -> f64 {
+    let mesh = surface.mesh;
+    let texels_per_m = surface.layout.texels_per_m.max(f64::MIN_POSITIVE);
     let mut area_m2 = 0.0;
     for triangle in mesh.triangle_ids() {
         area_m2 += mesh.area_m2(triangle);

@@ -3,15 +3,15 @@
 use nalgebra::Point3;
 use rayon::prelude::*;
 
-use crate::atlas::{AtlasLayout, AtlasTexture, TexelSource};
+use crate::atlas::{AtlasTexture, TexelSource};
 use crate::geom::color::linear_from_srgb;
 use crate::geom::{ColorImage, PinholeCamera, RigidTransform};
 use crate::mesh::adjacency::EdgeTable;
-use crate::mesh::{TriMesh, TriangleId};
 
 use super::super::PhotometricError;
 use super::SeamParams;
 use super::nodes::Nodes;
+use super::surface::Surface;
 
 /// Samples along an edge.
 const MIN_SAMPLES: usize = 3;
@@ -58,28 +58,25 @@ impl Seam {
 
 /// The seams in the order of the edges; of edges with more than two triangles, between each and
 /// the next.
-pub(super) fn find_seams(
-    mesh: &TriMesh,
-    layout: &AtlasLayout,
-    labels: &[Option<u32>],
-    source_of_triangle: &[Option<TexelSource>],
-) -> Result<Vec<Seam>, PhotometricError> {
+pub(super) fn find_seams(surface: &Surface<'_>) -> Result<Vec<Seam>, PhotometricError> {
+    let (mesh, labels) = (surface.mesh, surface.labels);
     let table = EdgeTable::new(mesh.triangles(), mesh.num_vertices())?;
     let mut seams = Vec::new();
     for half_edges in table.edges() {
         for pair in half_edges.windows(2) {
             let triangles = [pair[0] / 3, pair[1] / 3].map(|t| t as usize);
             let is_seam = labels[triangles[0]] != labels[triangles[1]]
-                && triangles.iter().all(|t| source_of_triangle[*t].is_some());
+                && triangles.iter().all(|t| surface.sources[*t].is_some());
             if is_seam {
-                seams.push(seam(mesh, layout, [pair[0], pair[1]]));
+                seams.push(seam(surface, [pair[0], pair[1]]));
             }
         }
     }
     Ok(seams)
 }
 
-fn seam(mesh: &TriMesh, layout: &AtlasLayout, half_edges: [u32; 2]) -> Seam {
+fn seam(surface: &Surface<'_>, half_edges: [u32; 2]) -> Seam {
+    let mesh = surface.mesh;
     let side = |half_edge: u32| {
         let corner = half_edge as usize % 3;
         Side {
@@ -98,7 +95,7 @@ fn seam(mesh: &TriMesh, layout: &AtlasLayout, half_edges: [u32; 2]) -> Seam {
     let length_texel = sides
         .iter()
         .map(|side| {
-            let corners = &layout.corners_texel[side.triangle as usize];
+            let corners = surface.corners_texel(side.triangle);
             let [a, b] = side.corners.map(|k| corners[k]);
             (b[0] - a[0]).hypot(b[1] - a[1])
         })
@@ -122,8 +119,7 @@ fn seam(mesh: &TriMesh, layout: &AtlasLayout, half_edges: [u32; 2]) -> Seam {
 /// Reads the steps of all seams anew.
 pub(super) fn sample(
     seams: &mut [Seam],
-    layout: &AtlasLayout,
-    source_of_triangle: &[Option<TexelSource>],
+    surface: &Surface<'_>,
     texture: &AtlasTexture,
     max_step: f64,
 ) {
@@ -131,8 +127,8 @@ pub(super) fn sample(
         for k in 0..seam.num_samples {
             let share = seam.share_of(k);
             let color = |side: &Side| {
-                let source = source_of_triangle[side.triangle as usize]?;
-                color_at_edge(side, share, layout, source, texture)
+                let source = surface.sources[side.triangle as usize]?;
+                color_at_edge(side, share, surface, source, texture)
             };
             let [first, second] = &seam.sides;
             let step = color(first)
@@ -159,11 +155,11 @@ pub struct SeamPhoto {
 /// the surface's own colour there is in both and no step.
 pub(super) fn sample_photos(
     seams: &mut [Seam],
-    mesh: &TriMesh,
-    labels: &[Option<u32>],
+    surface: &Surface<'_>,
     photos: &[Option<SeamPhoto>],
     params: &SeamParams,
 ) {
+    let (mesh, labels) = (surface.mesh, surface.labels);
     let max_step = params.max_step;
     #[expect(clippy::cast_possible_truncation, reason = "rounding to f32 is meant")]
     let misplaced_px = params.misplaced_px as f32;
@@ -283,14 +279,12 @@ pub(super) fn add_corrections(seams: &mut [Seam], nodes: &Nodes, corrections: &[
 fn color_at_edge(
     side: &Side,
     share: f64,
-    layout: &AtlasLayout,
+    surface: &Surface<'_>,
     source: TexelSource,
     texture: &AtlasTexture,
 ) -> Option<[f32; 3]> {
-    let corners = &layout.corners_texel[side.triangle as usize];
-    let page = texture
-        .pages
-        .get(layout.page_of(TriangleId(side.triangle)) as usize)?;
+    let corners = surface.corners_texel(side.triangle);
+    let page = texture.pages.get(surface.page_of(side.triangle) as usize)?;
     let [start, end] = side.corners.map(|k| corners[k]);
     let apex = corners[3 - side.corners[0] - side.corners[1]];
     #[expect(clippy::cast_possible_truncation, reason = "rounding to f32 is meant")]
@@ -337,10 +331,15 @@ fn color_at_edge(
     }
 }
 
-/// Mean absolute step, seams weighted by length: of each seam the step of its mean colours.
-pub(super) fn mean_step(seams: &[Seam]) -> f64 {
+/// Mean absolute step of the seams that are levelled now, weighted by length: of each seam the step
+/// of its mean colours.
+pub(super) fn mean_step(seams: &[Seam], surface: &Surface<'_>) -> f64 {
     let (mut sum, mut total_m) = (0.0, 0.0);
-    for seam in seams {
+    let is_levelled = |seam: &&Seam| {
+        let mut sides = seam.sides.iter();
+        sides.any(|side| surface.is_levelled(side.triangle))
+    };
+    for seam in seams.iter().filter(is_levelled) {
         let mut mean = [0.0; 3];
         let mut num_valid = 0.0;
         for step in seam.steps.iter().flatten() {

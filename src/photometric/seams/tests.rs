@@ -1,3 +1,5 @@
+mod patch;
+
 use nalgebra::Point3;
 
 use super::*;

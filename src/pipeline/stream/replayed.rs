@@ -8,6 +8,7 @@ use super::super::progress::Progress;
 use super::super::refine::RefineReport;
 use super::super::run::{PipelineError, PipelineParams, Run, StageTime};
 use super::{Streamed, stream};
+use crate::atlas::AtlasTexture;
 use crate::ingest::EventSource;
 use crate::keyframe::Keyframe;
 use crate::texinit::stream::StreamInit;
@@ -26,11 +27,23 @@ pub struct UpdateSummary {
     pub slowest_s: f64,
     /// Wall time of all, seconds.
     pub all_s: f64,
+    /// Steps that refined while nothing changed.
+    pub num_idle_steps: usize,
+    /// Wall time of the slowest of them, seconds.
+    pub slowest_idle_s: f64,
+    /// Wall time of all of them, seconds.
+    pub idle_s: f64,
 }
 
 impl UpdateSummary {
     fn add(&mut self, streamed: &Streamed) {
         let seconds = streamed.stages.iter().map(|stage| stage.seconds).sum();
+        if streamed.is_idle_step {
+            self.num_idle_steps += 1;
+            self.slowest_idle_s = self.slowest_idle_s.max(seconds);
+            self.idle_s += seconds;
+            return;
+        }
         self.num_updates += 1;
         self.num_pairs_scored += streamed.update.num_pairs_scored;
         self.num_triangles_painted += streamed.update.num_triangles_painted;
@@ -40,7 +53,8 @@ impl UpdateSummary {
 }
 
 /// [`super::super::run()`] with a texture that is kept up: painted whenever `period_s` of the
-/// stream's time went by with something new. Keyframes that judge the result paint until the stream
+/// stream's time went by with something new, and refined as long as there is something to refine.
+/// Keyframes that judge the result paint until the stream
 /// ends; then they are taken out.
 ///
 /// # Errors
@@ -69,15 +83,21 @@ pub fn run_streamed(
     let memory = memory_plan(&capture, params);
     let keyframes = std::mem::take(&mut capture.keyframes);
     let (painting, judging) = held_out::split(keyframes, &params.held_out);
-    capture.keyframes.clone_from(&painting);
-    let streamed = painter.paint(capture, params, progress)?;
+    capture.keyframes = painting;
+    let mut streamed = painter.paint(capture, params, progress)?;
     see(&streamed);
-    let capture = streamed.capture;
-    let Some(state) = painter.state() else {
+    while let Some(step) = painter.refine_some(params, progress)? {
+        see(&step);
+        streamed = step;
+    }
+    let Streamed {
+        capture, keyframes, ..
+    } = streamed;
+    let (Some(state), Some(texture)) = (painter.state(), painter.texture()) else {
         return Err(PipelineError::NoMesh("nothing is painted".to_owned()));
     };
     let mut mesh = state.mesh().clone();
-    let mut texinit = texinit_of(state, &painting);
+    let mut texinit = texinit_of(state, texture, &keyframes);
     params.region.keep_own_of(&mut mesh, &mut texinit);
     let held_out = held_out::render_views(
         &judging,
@@ -88,7 +108,7 @@ pub fn run_streamed(
     );
     Ok(Run {
         mesh,
-        keyframes: painting,
+        keyframes,
         texinit,
         refine: RefineReport::default(),
         texsmooth: None,
@@ -116,7 +136,7 @@ fn add_times(all: &mut Vec<StageTime>, more: &[StageTime]) {
 
 /// The state as the batch would hand it over. How single stages went is not kept from update to
 /// update, and left at nothing.
-fn texinit_of(state: &StreamInit, painting: &[Arc<Keyframe>]) -> TexInit {
+fn texinit_of(state: &StreamInit, shown: &AtlasTexture, painting: &[Arc<Keyframe>]) -> TexInit {
     let mut assignment = state.assignment();
     for label in &mut assignment.label {
         *label = label.and_then(|number| {
@@ -130,7 +150,7 @@ fn texinit_of(state: &StreamInit, painting: &[Arc<Keyframe>]) -> TexInit {
             wanted_texels_per_m: layout.texels_per_m,
             ..TexInitReport::default()
         },
-        texture: state.texture().clone(),
+        texture: shown.clone(),
         assignment,
         layout,
     }

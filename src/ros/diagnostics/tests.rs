@@ -43,6 +43,7 @@ fn observe<'a>(
         complaints,
         capture: None,
         paint,
+        why_whole: None,
         num_captures_replaced: 0,
         outputs: &[],
         publish_depth: 256,
@@ -149,5 +150,34 @@ fn the_message_says_node_part_and_level() {
     assert_eq!(
         (status.message, &status.values[..]),
         ("x", &[("a", "1")][..])
+    );
+}
+
+#[test]
+fn that_each_change_paints_the_whole_is_told_with_its_reason() {
+    let paint = PaintStatus {
+        num_painted: 3,
+        num_charts_waiting: 5,
+        num_poses_waiting: 2,
+        ..PaintStatus::default()
+    };
+    let mut seen = observe(vec![], &[], &paint);
+    let painting = |seen: &Observation<'_>| {
+        let found = findings(seen);
+        found.into_iter().find(|f| f.part == "painting").unwrap()
+    };
+    let found = painting(&seen);
+    assert!(!found.message.contains("whole"), "{}", found.message);
+    for (key, number) in [("charts to refine", "5"), ("keyframes to align", "2")] {
+        let value = found.values.iter().find(|(name, _)| name == key);
+        assert_eq!(value.unwrap().1, number);
+    }
+    seen.why_whole = Some("texsmooth.iterations");
+    let found = painting(&seen);
+    assert_eq!(found.level, Level::Ok);
+    assert!(
+        found.message.contains("texsmooth.iterations"),
+        "{}",
+        found.message
     );
 }

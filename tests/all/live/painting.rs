@@ -9,7 +9,7 @@ use veneer::wire::{Message, TexturedMeshBlock};
 
 use super::raw_peer::RawPeer;
 use super::rig::{Rig, free_port, http_get, send_signal};
-use super::{INPUTS, POSE_ARGS, assert_adds_up, is_settled, sent, wait_until};
+use super::{INPUTS, POSE_ARGS, Painted, assert_adds_up, is_settled, sent, wait_until};
 use crate::command::{small_tabletop, veneer_ok};
 
 #[test]
@@ -72,6 +72,8 @@ fn live_is_replay_under_simulated_time() {
         out.to_str().unwrap(),
         "-p",
         "eval.held_out_views:=0",
+        "-p",
+        "stream.mode:=whole",
     ]);
     let saves = dir.path().join("saves");
     let folder = format!("save.folder:={}", saves.display());
@@ -84,6 +86,8 @@ fn live_is_replay_under_simulated_time() {
             "use_sim_time:=true",
             "-p",
             "mesh_frame:=map",
+            "-p",
+            "stream.mode:=whole",
             "-p",
             &folder,
             "-p",
@@ -194,7 +198,9 @@ fn sessions_and_blocks_reach_peers_that_know_our_messages() {
     assert_eq!(status["state"], "active");
     let num_keyframes = seen.number("keyframes", "keyframes");
     assert_eq!(status["num_keyframes"], num_keyframes);
-    assert_eq!(status["revision"], early.revision().unwrap());
+    // A keyframe that changes no texel is published alone.
+    let published = status["revision"].as_u64().unwrap();
+    assert!(published >= early.revision().unwrap());
 
     let file = |service: &str, path: &str| {
         let request = serde_json::json!({ "file_path": path }).to_string();
@@ -219,4 +225,37 @@ fn sessions_and_blocks_reach_peers_that_know_our_messages() {
     let seen = wait_until(&rig, "painted again", is_settled);
     assert_eq!(seen.number("keyframes", "keyframes"), num_keyframes);
     assert!(node.is_running());
+}
+
+#[test]
+fn a_live_scan_is_refined_while_nothing_comes() {
+    let settings = [
+        "photometric.global_seams:=true",
+        "photometric.local_seams:=true",
+        "photometric.pose:=true",
+    ];
+    let Some(live) = Painted::new(&settings) else {
+        return;
+    };
+    let is_refined = |seen: &super::Diagnostics| {
+        let waiting = ["charts to refine", "keyframes to align"];
+        is_settled(seen)
+            && waiting
+                .iter()
+                .all(|what| seen.number("painting", what) == 0)
+    };
+    let seen = wait_until(&live.rig, "refined", is_refined);
+    assert!(seen.number("painting", "idle steps") > 0, "{seen:?}");
+    assert_eq!(seen.number("painting", "failed"), 0, "{seen:?}");
+    let refined = live.glb();
+    // What is refined stays, whatever is painted again without a change.
+    live.rig
+        .call("/veneer/retexture", "std_srvs/srv/Trigger", "{}");
+    let again = wait_until(&live.rig, "painted again", |now| {
+        is_refined(now)
+            && now.number("painting", "paintings") > seen.number("painting", "paintings")
+    });
+    assert!(live.glb() == refined);
+    let steps = |seen: &super::Diagnostics| seen.number("painting", "idle steps");
+    assert_eq!(steps(&again), steps(&seen));
 }

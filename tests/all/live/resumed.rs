@@ -20,7 +20,15 @@ fn a_killed_node_goes_on_with_all_that_was_acknowledged_and_paints_the_same() {
     let path = format!("keyframe.journal_path:={}", journal.display());
     let folder = format!("save.folder:={}", saves.display());
     let saved = ["-p", "save.on_shutdown:=scan.glb"];
-    let args = [&POSE_ARGS[..], &["-p", &path, "-p", &folder], &saved].concat();
+    // Charts that follow changes remember the way; the whole does not.
+    let whole = ["-p", "stream.mode:=whole"];
+    let args = [
+        &POSE_ARGS[..],
+        &["-p", &path, "-p", &folder],
+        &saved,
+        &whole,
+    ]
+    .concat();
 
     let node = rig.node(dir.path(), &args);
     let mut player = rig.peer(&["play", bag.to_str().unwrap()]);
