@@ -6,6 +6,7 @@
 //! | encoded images | a share of the budget: the most redundant keyframe goes |
 //! | atlas | a share of the budget: the density of texels is lowered |
 //! | mesh, score tables | as large as mesh and frames make them; reserved |
+//! | images with their gain | a tenth of the budget |
 //! | depths that keyframes see | a third of what the others leave, while painting follows changes |
 //! | decoded images | the rest |
 //!
@@ -34,6 +35,8 @@ pub struct MemoryPlan {
     pub atlas: u64,
     /// Mesh, charts and score tables.
     pub tables: u64,
+    /// Images with their gain.
+    pub corrected: u64,
     /// Depths that keyframes see, kept from update to update.
     pub kept_views: u64,
     /// Decoded images kept for reuse.
@@ -43,7 +46,7 @@ pub struct MemoryPlan {
 impl MemoryPlan {
     /// All parts together.
     pub fn total(&self) -> u64 {
-        let fixed = self.process + self.keyframes + self.atlas + self.tables;
+        let fixed = self.process + self.keyframes + self.atlas + self.tables + self.corrected;
         fixed + self.kept_views + self.decode_cache
     }
 }
@@ -54,6 +57,12 @@ const PROCESS_BYTES: u64 = 60_000_000;
 const KEYFRAME_SHARE: f64 = 0.25;
 /// The atlas may have this share of it.
 const ATLAS_SHARE: f64 = 0.5;
+/// Images with their gain may have this share of it.
+const CORRECTED_SHARE: f64 = 0.1;
+/// Scratch memory of those who paint what changed, kept from update to update.
+const STREAM_BYTES: u64 = 80_000_000;
+/// Reduced photos that idle steps keep.
+const IDLE_BYTES: u64 = 64_000_000;
 /// A texel of the atlas, and the copy that an export or a change of its page makes.
 const TEXEL_BYTES: f64 = 14.0;
 /// The same texel as TexInit left it, where what is shown of changes is refined.
@@ -77,6 +86,8 @@ impl MemoryParams {
             let max_texels = bytes(ATLAS_SHARE * self.budget_bytes() / texel_bytes(&params));
             let pack = &mut params.texinit.pack;
             pack.max_texels = pack.max_texels.min(max_texels);
+            let corrected_mb = CORRECTED_SHARE * self.budget_mb;
+            params.refine.cache_mb = params.refine.cache_mb.min(corrected_mb);
         }
         params
     }
@@ -99,25 +110,64 @@ impl MemoryParams {
         let applied = self.applied_to(params);
         let atlas = bytes(applied.texinit.pack.max_texels as f64 * texel_bytes(params));
         let pairs = num_keyframes as f64 * num_triangles as f64;
+        let refine = &applied.refine;
+        let seams = &refine.seams;
+        let is_idle_of_use = refine.has_pose || seams.has_global || seams.has_local;
+        let process = PROCESS_BYTES
+            + if params.follows_changes() {
+                STREAM_BYTES
+            } else {
+                0
+            }
+            + if params.follows_changes() && is_idle_of_use {
+                IDLE_BYTES
+            } else {
+                0
+            };
         let mut plan = MemoryPlan {
             budget: bytes(self.budget_bytes()),
-            process: PROCESS_BYTES,
+            process,
+            corrected: if refine.has_gain {
+                bytes(refine.cache_mb * 1e6)
+            } else {
+                0
+            },
             keyframes: num_keyframe_bytes as u64,
             atlas,
             tables: num_triangles as u64 * TRIANGLE_BYTES + bytes(pairs * SCORED_PAIR_BYTES),
             kept_views: 0,
             decode_cache: 0,
         };
-        let left = match plan.budget {
+        plan.share_rest(params);
+        plan
+    }
+}
+
+impl MemoryPlan {
+    /// The same once it is known how many texels the pages have, which may be far fewer than they may
+    /// have.
+    #[must_use]
+    pub(super) fn with_pages(mut self, num_texels: usize, params: &PipelineParams) -> Self {
+        let atlas = bytes(num_texels as f64 * texel_bytes(params));
+        if num_texels > 0 {
+            self.atlas = self.atlas.min(atlas);
+        }
+        self.share_rest(params);
+        self
+    }
+
+    /// Divides what the fixed parts leave.
+    fn share_rest(&mut self, params: &PipelineParams) {
+        (self.kept_views, self.decode_cache) = (0, 0);
+        let left = match self.budget {
             0 => u64::MAX,
-            budget => budget.saturating_sub(plan.total()),
+            budget => budget.saturating_sub(self.total()),
         };
         if params.follows_changes() {
-            plan.kept_views = bytes(params.stream.view_cache_mb * 1e6).min(left / 3);
+            self.kept_views = bytes(params.stream.view_cache_mb * 1e6).min(left / 3);
         }
         let wanted = bytes(params.keyframe.decode_cache_mb * 1e6);
-        plan.decode_cache = wanted.min(left - plan.kept_views);
-        plan
+        self.decode_cache = wanted.min(left - self.kept_views);
     }
 }
 

@@ -107,6 +107,12 @@ impl StreamPainter {
         self.kept.as_ref().map(|kept| &kept.state)
     }
 
+    /// Takes out what is painted: the state, and what is shown where that is not the state's texture.
+    fn take_painted(&mut self) -> Option<(StreamInit, Option<AtlasTexture>)> {
+        let kept = self.kept.take()?;
+        Some((kept.state, kept.refined.map(Refined::into_texture)))
+    }
+
     /// What is shown: the state's texture, with refined charts over it. `None` as [`Self::state`].
     pub fn texture(&self) -> Option<&AtlasTexture> {
         let kept = self.kept.as_ref()?;
@@ -161,10 +167,10 @@ impl StreamPainter {
             stream_mode: super::StreamMode::Changes,
             ..params.clone()
         };
-        let memory = memory_plan(&capture, &following);
+        let memory = memory_plan(&capture, &following).with_pages(kept.num_texels(), &following);
         let usable = |num_bytes: u64| usize::try_from(num_bytes).unwrap_or(usize::MAX);
-        self.store
-            .set_decode_cache_bytes(usable(memory.decode_cache));
+        let decode_cache = usable(memory.decode_cache);
+        self.store.set_decode_cache_bytes(decode_cache);
         kept.state.set_view_bytes(usable(memory.kept_views));
         let mesh = kept.prepared_mesh(&capture, params)?;
         let keyframes = match &mut kept.poses {
@@ -223,6 +229,13 @@ impl Kept {
             && self.stream == params.stream
             && self.refine == params.refine
             && self.weld == (params.weld_tolerance_m, params.num_subdivisions)
+    }
+
+    /// Texels of all pages, and of one that may come.
+    fn num_texels(&self) -> usize {
+        let pages = &self.state.texture().pages;
+        let of_page = pages.first().map_or(0, |page| page.srgb.len());
+        (pages.len() + 1) * of_page
     }
 
     /// Takes over what the state changed.

@@ -8,6 +8,7 @@
 use std::ops::Range;
 
 use nalgebra::{Point3, Vector3};
+use rayon::prelude::*;
 
 use crate::geom::{PinholeCamera, RigidTransform};
 use crate::mesh::{TriMesh, TriangleId};
@@ -232,15 +233,20 @@ impl MeshRuns {
             first_block: vec![0],
             blocks: vec![],
         };
-        let ids: Vec<TriangleId> = mesh.triangle_ids().collect();
-        for (triangles, ids) in mesh.triangles().chunks(RUN_SIZE).zip(ids.chunks(RUN_SIZE)) {
-            runs.bounds.push(BoundingBox::of(mesh, ids.iter().copied()));
-            let mut blocks = triangles.as_flattened().to_vec();
-            for vertex in &mut blocks {
-                *vertex /= BLOCK_SIZE;
-            }
-            blocks.sort_unstable();
-            blocks.dedup();
+        let all: Vec<(BoundingBox, Vec<u32>)> = mesh
+            .triangles()
+            .par_chunks(RUN_SIZE)
+            .map(|triangles| {
+                let corners = triangles.as_flattened();
+                let positions_m = corners.iter().map(|&v| mesh.positions_m()[v as usize]);
+                let mut blocks: Vec<u32> = corners.iter().map(|v| v / BLOCK_SIZE).collect();
+                blocks.sort_unstable();
+                blocks.dedup();
+                (BoundingBox::around(positions_m), blocks)
+            })
+            .collect();
+        for (bounds, blocks) in all {
+            runs.bounds.push(bounds);
             runs.blocks.extend(blocks);
             runs.first_block.push(runs.blocks.len());
         }

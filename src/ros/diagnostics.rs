@@ -525,6 +525,7 @@ fn process(seen: &Observation<'_>) -> Finding {
     let values = vec![
         value("memory budget", plan.budget),
         value("memory for images", plan.keyframes),
+        value("memory for images with gain", plan.corrected),
         value("memory for kept depths", plan.kept_views),
         value("memory for decoded images", plan.decode_cache),
         value("memory for the atlas", plan.atlas),

@@ -7,13 +7,14 @@
 //!    taken apart, a small one beside changed surface too; what has no chart then is flattened, separated,
 //!    absorbed and packed among itself. Other charts keep their place in the atlas, and their triangles
 //!    and vertices what is known of them; where vertices moved they are scored and painted anew.
-//! 2. Scores: a new keyframe is scored against the charts that it may see, a new or moved chart
+//! 2. Scores: a new keyframe is scored against the triangles that it may see, a new or moved triangle
 //!    against the keyframes that may see it, and where changed surface may hide or uncover others in a
-//!    keyframe, the charts there are scored in it anew. A keyframe whose pose was corrected goes and
-//!    comes.
+//!    keyframe, these are scored in it anew; triangles whose chart is made anew keep their scores. A
+//!    keyframe whose pose was corrected goes and comes. The depths that keyframes see are kept as far as
+//!    there is memory ([`StreamParams::view_cache_mb`]), and changed surface is drawn into them.
 //! 3. Labels of charts with new scores, each by itself ([`super::Coupling::Chart`]).
 //! 4. Texels of triangles whose frame, place or visibility changed. Means over frames are kept as exact
-//!    sums, to which a new keyframe adds.
+//!    sums, to which a new keyframe adds; where it adds nothing nothing is written.
 //! 5. Unseen regions ([`super::fill`]) beside changed texels, and the gutters of charts with any.
 //!
 //! **Equality**: labels and texels are, to the last byte, what [`super::repaint`] makes of
@@ -27,7 +28,8 @@
 //! charts are made anew.
 //!
 //! Memory, [`StreamInit::num_bytes`]: 8 bytes per texel of the pages, 16 per triangle and keyframe that
-//! may paint it, 16 per texel that shows a mean, some 400 per triangle, and 20 kB per keyframe.
+//! may paint it, 16 per texel that shows a mean, 8 per texel of a gutter, some 400 per triangle, 20 kB per
+//! keyframe, and the depths that are kept.
 
 mod budget;
 mod charts;
@@ -388,6 +390,11 @@ impl StreamInit {
     /// The mesh, in the order of the charts.
     pub fn mesh(&self) -> &TriMesh {
         &self.mesh
+    }
+
+    /// The mesh, where its triangles lie, and the pages; all else is forgotten.
+    pub fn into_parts(self) -> (TriMesh, AtlasLayout, AtlasTexture) {
+        (self.mesh, self.layout, self.texture)
     }
 
     /// Where its triangles lie.

@@ -38,6 +38,11 @@ impl Refined {
         &self.texture
     }
 
+    /// The pages, the rest forgotten.
+    pub(super) fn into_texture(self) -> AtlasTexture {
+        self.texture
+    }
+
     /// Charts that wait.
     pub(super) fn num_waiting(&self) -> usize {
         let charts = self.charts.values();

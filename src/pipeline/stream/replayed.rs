@@ -11,6 +11,7 @@ use super::{Streamed, stream};
 use crate::atlas::AtlasTexture;
 use crate::ingest::EventSource;
 use crate::keyframe::Keyframe;
+use crate::mesh::TriMesh;
 use crate::texinit::stream::StreamInit;
 use crate::texinit::{TexInit, TexInitReport};
 
@@ -93,11 +94,10 @@ pub fn run_streamed(
     let Streamed {
         capture, keyframes, ..
     } = streamed;
-    let (Some(state), Some(texture)) = (painter.state(), painter.texture()) else {
+    let Some((state, texture)) = painter.take_painted() else {
         return Err(PipelineError::NoMesh("nothing is painted".to_owned()));
     };
-    let mut mesh = state.mesh().clone();
-    let mut texinit = texinit_of(state, texture, &keyframes);
+    let (mut mesh, mut texinit) = texinit_of(state, texture, &keyframes);
     params.region.keep_own_of(&mut mesh, &mut texinit);
     let held_out = held_out::render_views(
         &judging,
@@ -134,9 +134,13 @@ fn add_times(all: &mut Vec<StageTime>, more: &[StageTime]) {
     }
 }
 
-/// The state as the batch would hand it over. How single stages went is not kept from update to
-/// update, and left at nothing.
-fn texinit_of(state: &StreamInit, shown: &AtlasTexture, painting: &[Arc<Keyframe>]) -> TexInit {
+/// The state as the batch would hand it over, with the texture that is shown where that is not its own.
+/// How single stages went is not kept from update to update, and left at nothing.
+fn texinit_of(
+    state: StreamInit,
+    shown: Option<AtlasTexture>,
+    painting: &[Arc<Keyframe>],
+) -> (TriMesh, TexInit) {
     let mut assignment = state.assignment();
     for label in &mut assignment.label {
         *label = label.and_then(|number| {
@@ -144,14 +148,15 @@ fn texinit_of(state: &StreamInit, shown: &AtlasTexture, painting: &[Arc<Keyframe
             index.ok().and_then(|index| u32::try_from(index).ok())
         });
     }
-    let layout = state.layout().clone();
-    TexInit {
+    let (mesh, layout, own) = state.into_parts();
+    let texinit = TexInit {
         report: TexInitReport {
             wanted_texels_per_m: layout.texels_per_m,
             ..TexInitReport::default()
         },
-        texture: shown.clone(),
+        texture: shown.unwrap_or(own),
         assignment,
         layout,
-    }
+    };
+    (mesh, texinit)
 }

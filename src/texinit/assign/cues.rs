@@ -74,6 +74,7 @@ impl FrameCandidates {
         let kept = self.candidates.iter().filter(|c| is_old(c.triangle));
         let mut candidates: Vec<Candidate> = kept.copied().chain(newer.candidates).collect();
         candidates.sort_unstable_by_key(|candidate| candidate.triangle);
+        candidates.shrink_to_fit();
         let kept = self.valid_colors.iter().filter(|(t, _)| is_old(*t));
         let mut valid_colors: Vec<_> = kept.copied().chain(newer.valid_colors).collect();
         valid_colors.sort_unstable_by_key(|(triangle, _)| *triangle);
