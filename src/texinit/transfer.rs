@@ -148,8 +148,7 @@ pub(crate) fn transfer_poses(
         known: None,
     };
     let buffers = &mut PaintBuffers::default();
-    let (means, mut report) =
-        painter.paint_all(job, frames, &mut [], buffers, decode, progress, &mut pages);
+    let (means, mut report) = painter.paint_all(job, frames, buffers, decode, progress, &mut pages);
     for MeanJob { texels, .. } in &means {
         let written = texels.write(layout, params.mean_form, &mut pages, |_| true);
         (report.num_mean, report.num_unseen) = written;

@@ -16,7 +16,6 @@ use crate::atlas::gutter::Gutter;
 use crate::atlas::{TexelSource, for_each_texel_within};
 use crate::keyframe::Keyframe;
 use crate::mesh::{TriMesh, TriangleId};
-use crate::render::KeptView;
 use crate::texinit::assign::{Assignment, FramePose};
 use crate::texinit::fill::{Coverage, Surface, fill_triangles, regions_at};
 use crate::texinit::transfer::{
@@ -163,11 +162,9 @@ impl StreamInit {
         let decode_at = |frame: usize| decode(&frames[frame]);
         let advance = |num_steps: usize| observer.advance(num_steps);
         let (pages, buffers) = (&mut self.texture.pages, &mut self.buffers);
-        let mut kept: Vec<Option<KeptView>> =
-            views.iter_mut().map(|slot| slot.view.take()).collect();
-        let (means, _) =
-            painter.paint_all(job, &poses, &mut kept, buffers, &decode_at, &advance, pages);
-        for (slot, view) in views.iter_mut().zip(kept) {
+        buffers.views = views.iter_mut().map(|slot| slot.view.take()).collect();
+        let (means, _) = painter.paint_all(job, &poses, buffers, &decode_at, &advance, pages);
+        for (slot, view) in views.iter_mut().zip(buffers.views.drain(..)) {
             slot.view = view;
         }
         let [anew, grown] = [0, 1].map(|index: usize| &means[index].texels);

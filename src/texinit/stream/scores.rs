@@ -63,6 +63,10 @@ struct Scoring<'a> {
 impl StreamInit {
     /// Scores charts in keyframes wherever one of the two, or what lies between them, is another than
     /// before.
+    #[expect(
+        clippy::too_many_arguments,
+        reason = "what a step of an update is given"
+    )]
     pub(super) fn score(
         &mut self,
         frames: &[Arc<Keyframe>],

@@ -174,36 +174,42 @@ fn check_texels(state: &StreamInit, scan: &Scan, params: &TexInitParams) {
 fn with_hysteresis_labels_change_less_and_are_worth_nearly_as_much() {
     let params = texinit_params();
     let num_changed_labels = |hysteresis: f32| -> (usize, f64) {
-        let by_seed = (500..530_u64).into_par_iter().map(|seed| {
-            let (mut scan, mut draw) = (Scan::new(seed), Draw(seed));
-            let stream = StreamParams {
-                hysteresis,
-                ..stream_params()
-            };
-            let mut state = StreamInit::new(&params, &stream).unwrap();
-            let (mut num_changed, mut most) = (0, 0.0_f64);
-            for _ in 0..6 {
-                scan.change(&mut draw);
-                let before: std::collections::BTreeMap<_, _> = state
-                    .charts
-                    .iter()
-                    .map(|chart| (chart.id, chart.labels.assignment().label.clone()))
-                    .collect();
-                update(&mut state, &scan);
-                check_texels(&state, &scan, &params);
-                for chart in &state.charts {
-                    let shortfall = chart.labels.shortfall(&params.assign);
-                    let bound = f64::from(hysteresis) * chart.len() as f64;
-                    assert!(shortfall <= bound + 1e-3, "{shortfall} of {bound}");
-                    most = most.max(shortfall);
-                    let label = &chart.labels.assignment().label;
-                    let before = before.get(&chart.id).into_iter().flatten();
-                    num_changed += before.zip(label).filter(|(b, a)| b != a).count();
+        let by_seed: Vec<(usize, f64)> = (500..530_u64)
+            .into_par_iter()
+            .map(|seed| {
+                let (mut scan, mut draw) = (Scan::new(seed), Draw(seed));
+                let stream = StreamParams {
+                    hysteresis,
+                    ..stream_params()
+                };
+                let mut state = StreamInit::new(&params, &stream).unwrap();
+                let (mut num_changed, mut most) = (0, 0.0_f64);
+                for _ in 0..6 {
+                    scan.change(&mut draw);
+                    let before: std::collections::BTreeMap<_, _> = state
+                        .charts
+                        .iter()
+                        .map(|chart| (chart.id, chart.labels.assignment().label.clone()))
+                        .collect();
+                    update(&mut state, &scan);
+                    check_texels(&state, &scan, &params);
+                    for chart in &state.charts {
+                        let shortfall = chart.labels.shortfall(&params.assign);
+                        let bound = f64::from(hysteresis) * chart.len() as f64;
+                        assert!(shortfall <= bound + 1e-3, "{shortfall} of {bound}");
+                        most = most.max(shortfall);
+                        let label = &chart.labels.assignment().label;
+                        let before = before.get(&chart.id).into_iter().flatten();
+                        num_changed += before.zip(label).filter(|(b, a)| b != a).count();
+                    }
                 }
-            }
-            (num_changed, most)
-        });
-        by_seed.reduce(|| (0, 0.0), |a, b| (a.0 + b.0, a.1.max(b.1)))
+                (num_changed, most)
+            })
+            .collect();
+        let all = by_seed.into_iter();
+        all.fold((0, 0.0_f64), |sum, (num, most)| {
+            (sum.0 + num, sum.1.max(most))
+        })
     };
     let [(none, exact), (some, near)] = [0.0, 0.5].map(num_changed_labels);
     assert!(some < none, "{some} labels changed, {none} without");

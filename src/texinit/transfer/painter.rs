@@ -63,6 +63,9 @@ struct Painted {
 #[derive(Debug, Default)]
 pub(crate) struct PaintBuffers {
     of_group: Vec<Buffers>,
+    /// Per frame, what is kept of its depths where its camera is known, in buffers of the size that means
+    /// use; empty where nothing is kept of any.
+    pub(crate) views: Vec<Option<KeptView>>,
 }
 
 /// Scratch memory for a frame.
@@ -130,21 +133,22 @@ pub(crate) struct Painter<'a> {
 
 impl Painter<'_> {
     /// Paints what the job says and nothing else: texels of its triangles that nobody sees stay as
-    /// they are. `views` has, of the first frames, what is kept of the depths of those whose camera is
-    /// known, in buffers of the size that means use. Returns the means with what the frames added to them; they are written by
+    /// they are. Returns the means with what the frames added to them; they are written by
     /// [`MeanTexels::write`].
     pub(crate) fn paint_all(
         &self,
         mut job: PaintJob<'_>,
         frames: &[FramePose],
-        views: &mut [Option<KeptView>],
         buffers: &mut PaintBuffers,
         decode: &(dyn Fn(usize) -> Result<Arc<DecodedFrame>, ImageError> + Sync),
         progress: &(dyn Fn(usize) + Sync),
         pages: &mut [TexturePage],
     ) -> (Vec<MeanJob>, TransferReport) {
         let mut report = TransferReport::default();
-        let buffers = &mut buffers.of_group;
+        let PaintBuffers {
+            of_group: buffers,
+            views,
+        } = buffers;
         buffers.resize_with(GROUP_SIZE, Buffers::default);
         let mut nothing_kept = vec![None; GROUP_SIZE];
         let mut views = views.chunks_mut(GROUP_SIZE);
