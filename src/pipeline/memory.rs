@@ -6,7 +6,7 @@
 //! | encoded images | a share of the budget: the most redundant keyframe goes |
 //! | atlas | a share of the budget: the density of texels is lowered |
 //! | mesh, score tables | as large as mesh and frames make them; reserved |
-//! | images with their gain | a twentieth of the budget |
+//! | images with their gain | 3 % of the budget |
 //! | depths that keyframes see | a third of what the others leave, while painting follows changes |
 //! | decoded images | the rest |
 //!
@@ -58,11 +58,11 @@ const KEYFRAME_SHARE: f64 = 0.25;
 /// The atlas may have this share of it.
 const ATLAS_SHARE: f64 = 0.5;
 /// Images with their gain may have this share of it.
-const CORRECTED_SHARE: f64 = 0.05;
+const CORRECTED_SHARE: f64 = 0.03;
 /// Scratch memory of those who paint what changed, kept from update to update.
 const STREAM_BYTES: u64 = 80_000_000;
 /// Reduced photos that idle steps keep.
-const IDLE_BYTES: u64 = 32_000_000;
+const IDLE_BYTES: u64 = 16_000_000;
 /// A texel of the atlas, and the copy that an export or a change of its page makes.
 const TEXEL_BYTES: f64 = 14.0;
 /// The same texel as TexInit left it, where what is shown of changes is refined.

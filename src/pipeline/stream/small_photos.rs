@@ -11,7 +11,7 @@ use crate::texinit::Decode;
 
 /// Memory for them; of those beyond, the ones read longest ago go. What an idle step looks at is held
 /// besides while it runs.
-const MAX_BYTES: usize = 32_000_000;
+const MAX_BYTES: usize = 16_000_000;
 
 /// A keyframe and the most columns of its photo.
 type Key = (KeyframeId, u32);
