@@ -141,6 +141,7 @@ pub(crate) fn transfer_poses(
     };
     let job = PaintJob {
         by_frame,
+        is_anew: false,
         means: vec![MeanJob {
             texels: means,
             counts: vec![true; frames.len()],

@@ -8,7 +8,7 @@ use crate::mesh::{TriMesh, TriangleId};
 
 use super::cues::{Candidate, TripleColor};
 use super::label::{CandidateTable, ColorSum};
-use super::pairwise::{self, PairwiseParams, Ranked};
+use super::pairwise::{self, Adjacency, PairwiseParams, Ranked};
 use super::quality::TypicalQuality;
 use super::{AssignParams, ColorCue};
 
@@ -125,7 +125,7 @@ impl Comparison {
     }
 
     /// The labels of best total score found.
-    pub(crate) fn solve(&self, adjacency: &[[u32; 2]], params: &AssignParams) -> Vec<Option<u32>> {
+    pub(crate) fn solve(&self, adjacency: &Adjacency, params: &AssignParams) -> Vec<Option<u32>> {
         match &params.pairwise {
             Some(pairwise) => pairwise::solve(&self.ranked, adjacency, pairwise),
             None => self.ranked.best_labels(),
@@ -138,7 +138,7 @@ impl Comparison {
         &self,
         before: &[Option<u32>],
         bonus: f32,
-        adjacency: &[[u32; 2]],
+        adjacency: &Adjacency,
         params: &AssignParams,
     ) -> Vec<Option<u32>> {
         let favouring = Self {
@@ -159,14 +159,14 @@ impl Comparison {
     pub(crate) fn value_of(
         &self,
         label: &[Option<u32>],
-        adjacency: &[[u32; 2]],
+        adjacency: &Adjacency,
         params: &AssignParams,
     ) -> f64 {
         let weight = params
             .pairwise
             .as_ref()
             .map_or(0.0, |pairwise| pairwise.weight);
-        self.ranked.value_of(label, adjacency, weight)
+        self.ranked.value_of(label, adjacency.pairs(), weight)
     }
 
     /// Per triangle: its best resolved views' texels per metre.

@@ -9,7 +9,7 @@ use crate::mesh::{TriMesh, TriangleId};
 
 use super::comparison::{Comparison, TASK_SIZE};
 use super::cues::{Candidate, FrameCandidates};
-use super::pairwise;
+use super::pairwise::Adjacency;
 use super::quality::TypicalQuality;
 use super::{AssignParams, AssignReport, Assignment, FailedFrame};
 
@@ -210,7 +210,7 @@ impl CandidateTable {
     ) -> Assignment {
         let (comparison, adjacency) = rayon::join(
             || Comparison::of(self, mesh, params, typical),
-            || pairwise::adjacent_pairs(mesh.triangles()),
+            || Adjacency::of(mesh.triangles()),
         );
         let label = comparison.solve(&adjacency, params);
         let area_m2 = |triangle| mesh.area_m2(triangle);
@@ -222,11 +222,11 @@ impl CandidateTable {
         &self,
         comparison: &Comparison,
         label: Vec<Option<u32>>,
-        adjacency: &[[u32; 2]],
+        adjacency: &Adjacency,
         area_m2: impl Fn(TriangleId) -> f64,
     ) -> Assignment {
-        let (num_seams_unary, _) = count_seams(&comparison.ranked.best_labels(), adjacency);
-        let (num_seams, num_inner_edges) = count_seams(&label, adjacency);
+        let (num_seams_unary, _) = count_seams(&comparison.ranked.best_labels(), adjacency.pairs());
+        let (num_seams, num_inner_edges) = count_seams(&label, adjacency.pairs());
         let mut used: Vec<u32> = label.iter().copied().flatten().collect();
         used.sort_unstable();
         used.dedup();

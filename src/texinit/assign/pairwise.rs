@@ -151,8 +151,8 @@ impl Ranked {
     }
 }
 
-/// Pairs of triangles that share an edge, sorted. Where more than two meet, each is paired with
-/// the next.
+/// Pairs of triangles that share an edge, sorted, the lower number first. Where more than two meet, each
+/// is paired with the next.
 pub(crate) fn adjacent_pairs(triangles: &[[u32; 3]]) -> Vec<[u32; 2]> {
     let mut sides: Vec<([u32; 2], u32)> = Vec::with_capacity(3 * triangles.len());
     for (triangle, &[a, b, c]) in (0u32..).zip(triangles) {
@@ -173,13 +173,101 @@ pub(crate) fn adjacent_pairs(triangles: &[[u32; 3]]) -> Vec<[u32; 2]> {
     pairs
 }
 
+/// Triangles of a block: pairs within one do not meet those within another.
+const BLOCK_SIZE: usize = 4096;
+
+/// Which triangles share an edge, in the order in which messages are sent.
+#[derive(Clone, Debug)]
+pub(crate) struct Adjacency {
+    /// Those within a block, by block, then those between blocks; sorted in each part.
+    pairs: Vec<[u32; 2]>,
+    /// Behind the last pair of each block.
+    block_ends: Vec<usize>,
+    neighbours: Neighbours,
+}
+
+impl Adjacency {
+    pub(crate) fn of(triangles: &[[u32; 3]]) -> Self {
+        Self::new(triangles.len(), adjacent_pairs(triangles))
+    }
+
+    /// From sorted pairs.
+    fn new(num_triangles: usize, pairs: Vec<[u32; 2]>) -> Self {
+        let neighbours = Neighbours::new(num_triangles, &pairs);
+        let block_of = |triangle: u32| triangle as usize / BLOCK_SIZE;
+        let (mut within, between): (Vec<_>, Vec<_>) = pairs
+            .into_iter()
+            .partition(|&[i, j]| block_of(i) == block_of(j));
+        let num_blocks = num_triangles.div_ceil(BLOCK_SIZE);
+        let end_of = |block: usize| within.partition_point(|&[i, _]| block_of(i) <= block);
+        let block_ends = (0..num_blocks).map(end_of).collect();
+        within.extend(between);
+        Self {
+            pairs: within,
+            block_ends,
+            neighbours,
+        }
+    }
+
+    /// All of them, each once.
+    pub(crate) fn pairs(&self) -> &[[u32; 2]] {
+        &self.pairs
+    }
+}
+
+/// Adjacent triangles of each triangle.
+#[derive(Clone, Debug)]
+struct Neighbours {
+    first: Vec<u32>,
+    others: Vec<u32>,
+}
+
+impl Neighbours {
+    fn new(num_triangles: usize, pairs: &[[u32; 2]]) -> Self {
+        let mut first = vec![0_u32; num_triangles + 1];
+        for &triangle in pairs.iter().flatten() {
+            first[triangle as usize + 1] += 1;
+        }
+        for triangle in 0..num_triangles {
+            first[triangle + 1] += first[triangle];
+        }
+        let mut next = first.clone();
+        let mut others = vec![0; 2 * pairs.len()];
+        for &[i, j] in pairs {
+            for [triangle, other] in [[i, j], [j, i]] {
+                let place = &mut next[triangle as usize];
+                others[*place as usize] = other;
+                *place += 1;
+            }
+        }
+        Self { first, others }
+    }
+
+    fn of(&self, triangle: usize) -> &[u32] {
+        &self.others[self.first[triangle] as usize..self.first[triangle + 1] as usize]
+    }
+}
+
 /// The labels of best total score found.
 pub(crate) fn solve(
     ranked: &Ranked,
-    adjacency: &[[u32; 2]],
+    adjacency: &Adjacency,
     params: &PairwiseParams,
 ) -> Vec<Option<u32>> {
-    let mut messages = Messages::new(ranked, adjacency, params.weight);
+    // Slots of a fixed number are worked on together.
+    match ranked.width {
+        0..=4 => solve_in::<4>(ranked, adjacency, params),
+        5..=8 => solve_in::<8>(ranked, adjacency, params),
+        _ => solve_in::<16>(ranked, adjacency, params),
+    }
+}
+
+fn solve_in<const SLOTS: usize>(
+    ranked: &Ranked,
+    adjacency: &Adjacency,
+    params: &PairwiseParams,
+) -> Vec<Option<u32>> {
+    let mut messages = Messages::<SLOTS>::new(ranked, adjacency, params.weight);
     for _ in 0..params.num_sweeps.min(100) {
         if !messages.sweep() {
             break;
@@ -188,17 +276,16 @@ pub(crate) fn solve(
     // The decoding may lose to deciding alone where the relaxation is not tight; what is improved
     // from there cannot.
     let alone = vec![0; ranked.num_choices.len()];
-    let mut candidates = [messages.decode(), alone];
-    candidates
-        .par_iter_mut()
-        .for_each(|chosen| improve(ranked, adjacency, params.weight, chosen));
-    let [decoded, alone] = candidates;
-    let value = |chosen: &[usize]| total_score(ranked, adjacency, params.weight, chosen);
-    let chosen = if value(&alone) > value(&decoded) {
-        alone
-    } else {
-        decoded
-    };
+    let ends: Vec<(Vec<usize>, f64)> = [messages.decode(), alone]
+        .into_par_iter()
+        .map(|mut chosen| {
+            improve(ranked, adjacency, params.weight, &mut chosen);
+            let value = total_score(ranked, adjacency, params.weight, &chosen);
+            (chosen, value)
+        })
+        .collect();
+    let [decoded, alone] = [0, 1].map(|index: usize| &ends[index]);
+    let (chosen, _) = if alone.1 > decoded.1 { alone } else { decoded };
     chosen
         .iter()
         .enumerate()
@@ -206,124 +293,117 @@ pub(crate) fn solve(
         .collect()
 }
 
-/// The dual: beliefs of all triangles and what each edge put into them.
-struct Messages<'a> {
-    ranked: &'a Ranked,
-    adjacency: &'a [[u32; 2]],
+/// A value for each slot of a triangle.
+type Slots<T, const SLOTS: usize> = [T; SLOTS];
+
+/// The dual: beliefs of all triangles and what each pair put into them. Slots without a candidate
+/// believe −∞ and are sent 0.
+struct Messages<'a, const SLOTS: usize> {
+    adjacency: &'a Adjacency,
     weight: f32,
-    /// Scores plus all messages, in the slots of `ranked`.
-    beliefs: Vec<f32>,
-    /// Per edge: what it put into its first and its second triangle.
-    sent: Vec<f32>,
+    /// Scores plus all messages, in the slots of the ranking.
+    beliefs: Vec<Slots<f32, SLOTS>>,
+    /// Per pair: what it put into its first and its second triangle.
+    sent: Vec<[Slots<f32, SLOTS>; 2]>,
     /// Where there is a message: which slot of the other triangle has the same frame, or [`NO_SLOT`].
-    same_slot: Vec<u8>,
+    same_slot: Vec<[Slots<u8, SLOTS>; 2]>,
 }
 
 const NO_SLOT: u8 = u8::MAX;
 
-impl<'a> Messages<'a> {
-    fn new(ranked: &'a Ranked, adjacency: &'a [[u32; 2]], weight: f32) -> Self {
-        let width = ranked.width;
-        let mut same_slot = vec![NO_SLOT; adjacency.len() * 2 * width];
-        for (pair, same_slot) in adjacency.iter().zip(same_slot.chunks_exact_mut(2 * width)) {
-            let sides = pair.map(|triangle| ranked.of(triangle as usize));
-            for (i, mine) in (0_u8..).zip(sides[0]) {
-                for (j, theirs) in (0_u8..).zip(sides[1]) {
-                    if mine.frame == theirs.frame {
-                        same_slot[usize::from(i)] = j;
-                        same_slot[width + usize::from(j)] = i;
-                    }
+impl<'a, const SLOTS: usize> Messages<'a, SLOTS> {
+    fn new(ranked: &Ranked, adjacency: &'a Adjacency, weight: f32) -> Self {
+        let choices = ranked.choices.par_chunks_exact(ranked.width);
+        let (frames, beliefs): (Vec<_>, Vec<_>) = choices
+            .map(|choices| {
+                let mut slots = [Choice::NONE; SLOTS];
+                for (slot, choice) in slots.iter_mut().zip(choices) {
+                    *slot = *choice;
                 }
-            }
-        }
+                (slots.map(|slot| slot.frame), slots.map(|slot| slot.score))
+            })
+            .unzip();
+        let same_slot = adjacency
+            .pairs
+            .par_iter()
+            .with_min_len(BLOCK_SIZE)
+            .map(|pair| {
+                let [first, second] = pair.map(|triangle| &frames[triangle as usize]);
+                [same_slots(first, second), same_slots(second, first)]
+            })
+            .collect();
         Self {
-            same_slot,
-            ranked,
+            sent: vec![[[0.0; SLOTS]; 2]; adjacency.pairs.len()],
             adjacency,
             weight,
-            beliefs: ranked.choices.iter().map(|choice| choice.score).collect(),
-            sent: vec![0.0; adjacency.len() * 2 * ranked.width],
+            beliefs,
+            same_slot,
         }
     }
 
-    /// One update of every edge: it splits what its pair can reach evenly between the two. Whether
+    /// One update of every pair: it splits what it can reach evenly between the two. Whether
     /// anything changed; where nothing did, nothing ever will.
     fn sweep(&mut self) -> bool {
-        let width = self.ranked.width;
-        let mut without = [[0.0f32; 16]; 2];
-        let mut has_changed = false;
-        let messages = self.sent.chunks_exact_mut(2 * width);
-        let messages = messages.zip(self.same_slot.chunks_exact(2 * width));
-        for (pair, (sent, same_slot)) in self.adjacency.iter().zip(messages) {
-            let num_choices =
-                pair.map(|triangle| usize::from(self.ranked.num_choices[triangle as usize]));
-            if num_choices.contains(&0) {
-                continue;
-            }
-            let starts = pair.map(|triangle| triangle as usize * width);
-            let mut best = [f32::NEG_INFINITY; 2];
-            for side in 0..2 {
-                for slot in 0..num_choices[side] {
-                    let value = self.beliefs[starts[side] + slot] - sent[side * width + slot];
-                    without[side][slot] = value;
-                    best[side] = best[side].max(value);
-                }
-            }
-            for side in 0..2 {
-                let other = 1 - side;
-                for slot in 0..num_choices[side] {
-                    let same = match same_slot[side * width + slot] {
-                        NO_SLOT => f32::NEG_INFINITY,
-                        at => without[other][usize::from(at)] + self.weight,
-                    };
-                    let own = without[side][slot];
-                    let message = 0.5 * (best[other].max(same) - own);
-                    let sent = &mut sent[side * width + slot];
-                    let belief = &mut self.beliefs[starts[side] + slot];
-                    has_changed |= *sent != message || *belief != own + message;
-                    (*sent, *belief) = (message, own + message);
-                }
-            }
+        let weight = self.weight;
+        let (mut pairs, mut same_slot) = (&*self.adjacency.pairs, &*self.same_slot);
+        let mut sent = &mut *self.sent;
+        let mut blocks = Vec::with_capacity(self.adjacency.block_ends.len());
+        let mut start = 0;
+        let beliefs = self.beliefs.chunks_mut(BLOCK_SIZE);
+        for (block, (beliefs, &end)) in beliefs.zip(&self.adjacency.block_ends).enumerate() {
+            let len = end - start;
+            start = end;
+            let (of_pairs, of_same) = (pairs.split_at(len), same_slot.split_at(len));
+            let of_sent = std::mem::take(&mut sent).split_at_mut(len);
+            blocks.push((
+                block * BLOCK_SIZE,
+                of_pairs.0,
+                of_same.0,
+                of_sent.0,
+                beliefs,
+            ));
+            (pairs, same_slot, sent) = (of_pairs.1, of_same.1, of_sent.1);
         }
-        has_changed
+        let has_changed: Vec<bool> = blocks
+            .into_par_iter()
+            .map(|(first, pairs, same_slot, sent, beliefs)| {
+                sweep_pairs(pairs, same_slot, sent, beliefs, first, weight)
+            })
+            .collect();
+        let between = sweep_pairs(pairs, same_slot, sent, &mut self.beliefs, 0, weight);
+        has_changed.contains(&true) | between
     }
 
     /// Slot of the best belief per triangle.
     fn decode(&self) -> Vec<usize> {
-        (0..self.ranked.num_choices.len())
-            .map(|triangle| {
-                let start = triangle * self.ranked.width;
-                let beliefs = &self.beliefs[start..start + self.ranked.of(triangle).len()];
-                let mut best = 0;
-                for (slot, &belief) in beliefs.iter().enumerate() {
-                    if belief > beliefs[best] {
-                        best = slot;
-                    }
+        let best_of = |beliefs: &Slots<f32, SLOTS>| {
+            let mut best = 0;
+            for (slot, &belief) in beliefs.iter().enumerate() {
+                if belief > beliefs[best] {
+                    best = slot;
                 }
-                best
-            })
-            .collect()
+            }
+            best
+        };
+        self.beliefs.iter().map(best_of).collect()
     }
 
     /// Upper bound of the score of any labelling.
     #[cfg(test)]
     fn dual_value(&self) -> f64 {
-        let width = self.ranked.width;
-        let mut value = 0.0f64;
-        for triangle in 0..self.ranked.num_choices.len() {
-            let num = self.ranked.of(triangle).len();
-            let beliefs = &self.beliefs[triangle * width..triangle * width + num];
-            if let Some(best) = beliefs.iter().copied().reduce(f32::max) {
-                value += f64::from(best);
-            }
-        }
-        for (pair, sent) in self.adjacency.iter().zip(self.sent.chunks_exact(2 * width)) {
-            let sides = pair.map(|triangle| self.ranked.of(triangle as usize));
+        let max =
+            |slots: &Slots<f32, SLOTS>| slots.iter().copied().fold(f32::NEG_INFINITY, f32::max);
+        let triangles = self.beliefs.iter().map(max).map(f64::from);
+        let mut value: f64 = triangles.filter(|best| best.is_finite()).sum();
+        let messages = self.sent.iter().zip(&self.same_slot);
+        for (pair, (sent, same_slot)) in self.adjacency.pairs.iter().zip(messages) {
+            let [a, b] = pair.map(|triangle| &self.beliefs[triangle as usize]);
             let mut best = f64::NEG_INFINITY;
-            for (i, a) in sides[0].iter().enumerate() {
-                for (j, b) in sides[1].iter().enumerate() {
-                    let reward = if a.frame == b.frame { self.weight } else { 0.0 };
-                    best = best.max(f64::from(reward - sent[i] - sent[width + j]));
+            for i in (0..SLOTS).filter(|&i| a[i].is_finite()) {
+                for j in (0..SLOTS).filter(|&j| b[j].is_finite()) {
+                    let is_same = usize::from(same_slot[0][i]) == j;
+                    let reward = if is_same { self.weight } else { 0.0 };
+                    best = best.max(f64::from(reward - sent[0][i] - sent[1][j]));
                 }
             }
             if best.is_finite() {
@@ -334,14 +414,85 @@ impl<'a> Messages<'a> {
     }
 }
 
+/// For each slot, that of the other triangle with the same frame.
+fn same_slots<const SLOTS: usize>(
+    frames: &Slots<u32, SLOTS>,
+    others: &Slots<u32, SLOTS>,
+) -> Slots<u8, SLOTS> {
+    frames.map(|frame| {
+        let mut same = NO_SLOT;
+        for (slot, other) in (0_u8..).zip(others) {
+            if *other == frame {
+                same = slot;
+            }
+        }
+        same
+    })
+}
+
+/// [`Messages::sweep`] of some pairs; the beliefs are those of triangles from `first` on.
+fn sweep_pairs<const SLOTS: usize>(
+    pairs: &[[u32; 2]],
+    same_slot: &[[Slots<u8, SLOTS>; 2]],
+    sent: &mut [[Slots<f32, SLOTS>; 2]],
+    beliefs: &mut [Slots<f32, SLOTS>],
+    first: usize,
+    weight: f32,
+) -> bool {
+    let mut has_changed = false;
+    for (pair, (sent, same_slot)) in pairs.iter().zip(sent.iter_mut().zip(same_slot)) {
+        let rows = pair.map(|triangle| triangle as usize - first);
+        let [own, other] = rows.map(|row| beliefs[row]);
+        let without = [less(&own, &sent[0]), less(&other, &sent[1])];
+        let best = without.each_ref().map(largest);
+        if best.contains(&f32::NEG_INFINITY) {
+            continue;
+        }
+        for side in 0..2 {
+            let reached = same_slot[side].map(|slot| {
+                let same = without[1 - side].get(usize::from(slot));
+                same.map_or(f32::NEG_INFINITY, |same| same + weight)
+            });
+            let before = [own, other][side];
+            let belief = &mut beliefs[rows[side]];
+            for slot in 0..SLOTS {
+                let own = without[side][slot];
+                let message = 0.5 * (best[1 - side].max(reached[slot]) - own);
+                let message = if own == f32::NEG_INFINITY {
+                    0.0
+                } else {
+                    message
+                };
+                has_changed |= sent[side][slot] != message;
+                sent[side][slot] = message;
+                belief[slot] = own + message;
+                has_changed |= belief[slot] != before[slot];
+            }
+        }
+    }
+    has_changed
+}
+
+fn less<const SLOTS: usize>(a: &Slots<f32, SLOTS>, b: &Slots<f32, SLOTS>) -> Slots<f32, SLOTS> {
+    std::array::from_fn(|slot| a[slot] - b[slot])
+}
+
+fn largest<const SLOTS: usize>(slots: &Slots<f32, SLOTS>) -> f32 {
+    slots
+        .iter()
+        .copied()
+        .fold(f32::NEG_INFINITY, |a, b| if b > a { b } else { a })
+}
+
 /// What a choice of slots earns.
-fn total_score(ranked: &Ranked, adjacency: &[[u32; 2]], weight: f32, chosen: &[usize]) -> f64 {
+fn total_score(ranked: &Ranked, adjacency: &Adjacency, weight: f32, chosen: &[usize]) -> f64 {
     let choice = |triangle: usize| ranked.of(triangle).get(chosen[triangle]);
     let unary: f64 = (0..chosen.len())
         .filter_map(choice)
         .map(|choice| f64::from(choice.score))
         .sum();
     let num_equal = adjacency
+        .pairs
         .iter()
         .filter(|pair| {
             let [a, b] = pair.map(|triangle| choice(triangle as usize));
@@ -353,8 +504,15 @@ fn total_score(ranked: &Ranked, adjacency: &[[u32; 2]], weight: f32, chosen: &[u
 
 /// Changes single triangles while that gains, at most ten times over all. One whose neighbours are as
 /// they were is as good as it was.
-fn improve(ranked: &Ranked, adjacency: &[[u32; 2]], weight: f32, chosen: &mut [usize]) {
-    let neighbours = Neighbours::new(chosen.len(), adjacency);
+fn improve(ranked: &Ranked, adjacency: &Adjacency, weight: f32, chosen: &mut [usize]) {
+    let frame_at = |triangle: usize, slot: usize| {
+        let choice = ranked.of(triangle).get(slot);
+        choice.map_or(Choice::NONE.frame, |choice| choice.frame)
+    };
+    let chosen_frames = chosen.iter().enumerate();
+    let mut frames: Vec<u32> = chosen_frames
+        .map(|(triangle, &slot)| frame_at(triangle, slot))
+        .collect();
     let mut is_due = vec![true; chosen.len()];
     for _ in 0..10 {
         let mut has_changed = false;
@@ -362,28 +520,20 @@ fn improve(ranked: &Ranked, adjacency: &[[u32; 2]], weight: f32, chosen: &mut [u
             if !std::mem::take(&mut is_due[triangle]) {
                 continue;
             }
-            let choices = ranked.of(triangle);
-            let gain = |slot: usize| {
-                let choice: &Choice = &choices[slot];
-                let num_equal = neighbours
-                    .of(triangle)
-                    .iter()
-                    .filter(|&&other| {
-                        ranked
-                            .of(other as usize)
-                            .get(chosen[other as usize])
-                            .is_some_and(|theirs| theirs.frame == choice.frame)
-                    })
-                    .count();
+            let neighbours = adjacency.neighbours.of(triangle);
+            let gain = |choice: &Choice| {
+                let same = |&&other: &&u32| frames[other as usize] == choice.frame;
+                let num_equal = neighbours.iter().filter(same).count();
                 // In f64, where the sum is exact: what counts as a gain is one.
                 f64::from(choice.score) + f64::from(weight) * num_equal as f64
             };
-            let Some(mut best) = choices.get(chosen[triangle]).map(|_| chosen[triangle]) else {
+            let choices = ranked.of(triangle);
+            let mut best = chosen[triangle];
+            let Some(mut best_gain) = choices.get(best).map(gain) else {
                 continue;
             };
-            let mut best_gain = gain(best);
-            for slot in 0..choices.len() {
-                let slot_gain = gain(slot);
+            for (slot, choice) in choices.iter().enumerate() {
+                let slot_gain = gain(choice);
                 if slot_gain > best_gain {
                     (best, best_gain) = (slot, slot_gain);
                 }
@@ -391,7 +541,8 @@ fn improve(ranked: &Ranked, adjacency: &[[u32; 2]], weight: f32, chosen: &mut [u
             if best != chosen[triangle] {
                 has_changed = true;
                 chosen[triangle] = best;
-                for &other in neighbours.of(triangle) {
+                frames[triangle] = choices[best].frame;
+                for &other in neighbours {
                     is_due[other as usize] = true;
                 }
             }
@@ -399,37 +550,6 @@ fn improve(ranked: &Ranked, adjacency: &[[u32; 2]], weight: f32, chosen: &mut [u
         if !has_changed {
             break;
         }
-    }
-}
-
-/// Adjacent triangles of each triangle.
-struct Neighbours {
-    first: Vec<usize>,
-    others: Vec<u32>,
-}
-
-impl Neighbours {
-    fn new(num_triangles: usize, adjacency: &[[u32; 2]]) -> Self {
-        let mut directed: Vec<[u32; 2]> = adjacency
-            .iter()
-            .flat_map(|&[i, j]| [[i, j], [j, i]])
-            .collect();
-        directed.sort_unstable();
-        let mut first = vec![0; num_triangles + 1];
-        for &[i, _] in &directed {
-            first[i as usize + 1] += 1;
-        }
-        for triangle in 0..num_triangles {
-            first[triangle + 1] += first[triangle];
-        }
-        Self {
-            first,
-            others: directed.into_iter().map(|[_, j]| j).collect(),
-        }
-    }
-
-    fn of(&self, triangle: usize) -> &[u32] {
-        &self.others[self.first[triangle]..self.first[triangle + 1]]
     }
 }
 
@@ -535,7 +655,8 @@ mod tests {
         fn the_dual_never_rises_and_bounds_every_labelling((scores, adjacency, weight) in problem()) {
             let ranked = ranked_of(&scores, 4);
             let best = best_by_enumeration(&scores, &adjacency, weight);
-            let mut messages = Messages::new(&ranked, &adjacency, weight);
+            let pairs = Adjacency::new(scores.len(), adjacency.clone());
+            let mut messages = Messages::<4>::new(&ranked, &pairs, weight);
             let mut dual = messages.dual_value();
             for _ in 0..20 {
                 messages.sweep();
@@ -545,7 +666,7 @@ mod tests {
                 dual = next;
             }
             let params = PairwiseParams { weight, ..PairwiseParams::default() };
-            let found = value(&scores, &adjacency, weight, &solve(&ranked, &adjacency, &params));
+            let found = value(&scores, &adjacency, weight, &solve(&ranked, &pairs, &params));
             let alone = value(&scores, &adjacency, weight, &ranked.best_labels());
             prop_assert!(found <= best + 1e-5);
             prop_assert!(found >= alone - 1e-5, "{found} is worse than {alone} alone");
@@ -572,7 +693,8 @@ mod tests {
                 num_sweeps: 40,
                 ..PairwiseParams::default()
             };
-            let labels = solve(&ranked_of(&scores, 3), &adjacency, &params);
+            let pairs = Adjacency::new(scores.len(), adjacency.clone());
+            let labels = solve(&ranked_of(&scores, 3), &pairs, &params);
             let found = value(&scores, &adjacency, weight, &labels);
             let best = best_by_enumeration(&scores, &adjacency, weight);
             assert!((found - best).abs() < 1e-4, "{found} of {best} at {weight}");

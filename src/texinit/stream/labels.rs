@@ -6,7 +6,7 @@ use crate::mesh::{TriMesh, TriangleId};
 use crate::texinit::assign::comparison::Comparison;
 use crate::texinit::assign::cues::FrameCandidates;
 use crate::texinit::assign::label::CandidateTable;
-use crate::texinit::assign::pairwise::adjacent_pairs;
+use crate::texinit::assign::pairwise::Adjacency;
 use crate::texinit::assign::quality::TypicalQuality;
 use crate::texinit::assign::{AssignParams, Assignment};
 
@@ -25,7 +25,7 @@ pub(super) struct KeptLabels {
 #[derive(Debug)]
 struct Compared {
     comparison: Comparison,
-    adjacency: Vec<[u32; 2]>,
+    adjacency: Adjacency,
 }
 
 impl KeptLabels {
@@ -123,7 +123,7 @@ impl KeptLabels {
         let is_new = self.compared.is_none();
         let compared = self.compared.get_or_insert_with(|| Compared {
             comparison: Comparison::empty(num_triangles, params),
-            adjacency: adjacent_pairs(&mesh.triangles()[first.index()..][..num_triangles]),
+            adjacency: Adjacency::of(&mesh.triangles()[first.index()..][..num_triangles]),
         });
         let Compared {
             comparison,

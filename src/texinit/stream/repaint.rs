@@ -34,13 +34,13 @@ pub(super) struct Repainted {
 /// What has to be painted.
 #[derive(Default)]
 struct Plan {
-    /// Triangles to paint, with the number of the keyframe.
+    /// Triangles none of whose texels stay, with the number of the keyframe that paints them.
     assigned: Vec<(u32, TriangleId)>,
     /// Triangles whose mean is taken anew over all keyframes.
     summed: Vec<TriangleId>,
     /// Triangles to whose sums new keyframes add.
     grown: Vec<(TriangleId, Vec<TexelSum>)>,
-    /// Triangles none of whose texels stay.
+    /// Triangles that no keyframe paints by itself, none of whose texels stay.
     wiped: Vec<TriangleId>,
 }
 
@@ -71,7 +71,8 @@ impl StreamInit {
             };
             plan.add_chart(chart, &sight, before.as_ref(), turnover, is_assigned);
         }
-        let mut touched = plan.wiped.clone();
+        let painted = plan.assigned.iter().map(|(_, triangle)| *triangle);
+        let mut touched: Vec<TriangleId> = painted.chain(plan.wiped.iter().copied()).collect();
         self.wipe(&plan.wiped, &|_| true);
         touched.extend(self.paint(plan, frames, turnover, views, decode, observer));
         update.num_triangles_painted = touched.len();
@@ -98,7 +99,8 @@ impl StreamInit {
         });
     }
 
-    /// Paints; returns the triangles of [`Plan::grown`] to whose sums a keyframe added.
+    /// Paints; returns the triangles of [`Plan::grown`] to whose sums a keyframe added. Texels of triangles
+    /// whose keyframe does not paint, because it no longer decodes, become blank.
     fn paint(
         &mut self,
         plan: Plan,
@@ -126,7 +128,7 @@ impl StreamInit {
             .map(|(frame, is_usable)| *is_usable && turnover.added.contains(&frame.id.0))
             .collect();
         let mut by_frame = vec![Vec::new(); frames.len()];
-        for (number, triangle) in plan.assigned {
+        for &(number, triangle) in &plan.assigned {
             if let Ok(index) = frames.binary_search_by_key(&number, |frame| frame.id.0) {
                 by_frame[index].push(triangle);
             }
@@ -139,6 +141,7 @@ impl StreamInit {
         let (mesh, layout) = (&self.mesh, &self.layout);
         let job = PaintJob {
             by_frame,
+            is_anew: true,
             means: vec![
                 MeanJob {
                     texels: MeanTexels::new(mesh, layout, plan.summed.into_iter()),
@@ -163,10 +166,19 @@ impl StreamInit {
         let advance = |num_steps: usize| observer.advance(num_steps);
         let (pages, buffers) = (&mut self.texture.pages, &mut self.buffers);
         buffers.views = views.iter_mut().map(|slot| slot.view.take()).collect();
-        let (means, _) = painter.paint_all(job, &poses, buffers, &decode_at, &advance, pages);
+        let (means, report) = painter.paint_all(job, &poses, buffers, &decode_at, &advance, pages);
         for (slot, view) in views.iter_mut().zip(buffers.views.drain(..)) {
             slot.view = view;
         }
+        let failed = report.failed_frames.iter();
+        let failed: Vec<u32> = failed
+            .map(|failed| frames[failed.frame as usize].id.0)
+            .collect();
+        let is_there = |number: &u32| frames.binary_search_by_key(number, |f| f.id.0).is_ok();
+        let is_left = |number: &u32| !is_there(number) || failed.contains(number);
+        let left = plan.assigned.iter().filter(|(number, _)| is_left(number));
+        let left: Vec<TriangleId> = left.map(|(_, triangle)| *triangle).collect();
+        self.wipe(&left, &|_| true);
         let [anew, grown] = [0, 1].map(|index: usize| &means[index].texels);
         let has_grown: Vec<TriangleId> = grown.grown().collect();
         // Until now these showed the means before.
@@ -332,9 +344,12 @@ impl Plan {
             let sums = match sums {
                 Some(sums) if keeps_sums => sums,
                 _ => {
-                    if needs_mean || paints {
-                        self.wiped.push(triangle);
-                        self.assigned.extend(label.map(|frame| (frame, triangle)));
+                    match label {
+                        Some(frame) if needs_mean || paints => {
+                            self.assigned.push((frame, triangle))
+                        }
+                        None if needs_mean => self.wiped.push(triangle),
+                        _ => {}
                     }
                     if needs_mean {
                         self.summed.push(triangle);

@@ -25,10 +25,18 @@ use super::sampler::TriangleSampler;
 /// Frames that are in memory at a time.
 const GROUP_SIZE: usize = 8;
 
+/// Triangles that one task paints: where one frame paints most of them, all threads help.
+const TASK_SIZE: usize = 512;
+
+/// Rows of a page that one task writes.
+const BAND_ROWS: usize = 256;
+
 /// What is to be painted.
 pub(crate) struct PaintJob<'a> {
     /// Per frame: the triangles that it paints.
     pub(crate) by_frame: Vec<Vec<TriangleId>>,
+    /// Whether texels of these that the frame does not see are blanked; else they stay.
+    pub(crate) is_anew: bool,
     /// Triangles that show a mean where no frame paints them.
     pub(crate) means: Vec<MeanJob>,
     /// Per frame, what is known before it is decoded: what neither paints a triangle nor sees one with
@@ -59,6 +67,14 @@ struct Painted {
     confidence: u8,
 }
 
+/// What is written to a band of a page.
+#[derive(Clone, Default)]
+struct BandTexels {
+    painted: Vec<Painted>,
+    /// Texels that become blank.
+    blank: Vec<u32>,
+}
+
 /// Scratch memory of [`Painter::paint_all`], worth keeping.
 #[derive(Debug, Default)]
 pub(crate) struct PaintBuffers {
@@ -84,8 +100,8 @@ pub(super) struct FrameLook<'a> {
     pub(super) pose: CameraPose,
     /// Drawn only where a mean needs it.
     pub(super) visibility: Option<&'a VisibilityBuffer>,
-    /// Per page.
-    painted: Vec<Vec<Painted>>,
+    /// Per task: by page, and by band there.
+    painted: Vec<Vec<BandTexels>>,
 }
 
 /// Pixels of a triangle's corners; `None` unless all are in front of the camera.
@@ -290,19 +306,31 @@ impl Painter<'_> {
             Some(frame) => frame,
             None => decode()?,
         };
-        let mut painted = vec![vec![]; self.layout.num_pages as usize];
-        for &triangle in triangles {
-            let sampler = TriangleSampler::new(
-                camera_pose.corners_in_camera(self.mesh, triangle),
-                &self.layout.corners_texel[triangle.index()],
-                &frame.color_camera,
-                self.params,
-            );
-            let Some(sampler) = sampler else { continue };
-            let hiding = visibility.filter(|_| self.is_partly_hidden[triangle.index()]);
-            let page = &mut painted[self.layout.page_of(triangle) as usize];
-            self.paint(triangle, &sampler, &frame, hiding, page);
-        }
+        let num_bands = num_bands(self.layout.page_size_texel);
+        let tasks = triangles.par_chunks(TASK_SIZE).map(|triangles| {
+            let mut painted =
+                vec![BandTexels::default(); self.layout.num_pages as usize * num_bands];
+            for &triangle in triangles {
+                let sampler = TriangleSampler::new(
+                    camera_pose.corners_in_camera(self.mesh, triangle),
+                    &self.layout.corners_texel[triangle.index()],
+                    &frame.color_camera,
+                    self.params,
+                );
+                let hiding = visibility.filter(|_| self.is_partly_hidden[triangle.index()]);
+                let first_band = self.layout.page_of(triangle) as usize * num_bands;
+                let bands = &mut painted[first_band..first_band + num_bands];
+                match sampler {
+                    Some(sampler) => {
+                        self.paint(triangle, &sampler, &frame, hiding, job.is_anew, bands);
+                    }
+                    None if job.is_anew => self.blank(triangle, bands),
+                    None => {}
+                }
+            }
+            painted
+        });
+        let painted = tasks.collect();
         Ok(Some(FrameLook {
             index,
             source: TexelSource::keyframe(pose.id),
@@ -365,7 +393,8 @@ impl Painter<'_> {
         sampler: &TriangleSampler,
         frame: &DecodedFrame,
         hiding: Option<&VisibilityBuffer>,
-        out: &mut Vec<Painted>,
+        is_anew: bool,
+        bands: &mut [BandTexels],
     ) {
         let page_size = self.layout.page_size_texel;
         let corners_texel = &self.layout.corners_texel[triangle.index()];
@@ -375,32 +404,68 @@ impl Painter<'_> {
             let is_hidden = hiding.is_some_and(|buffer| {
                 !texel.surface_point().is_some_and(|p| buffer.is_visible(&p))
             });
-            if is_hidden {
-                return;
-            }
-            if let Some(srgb) = texel.color(&frame.color) {
-                out.push(Painted {
-                    texel: y * page_size[0] + x,
+            let color = match is_hidden {
+                true => None,
+                false => texel.color(&frame.color),
+            };
+            let band = &mut bands[y as usize / BAND_ROWS];
+            let texel = y * page_size[0] + x;
+            match color {
+                Some(srgb) => band.painted.push(Painted {
+                    texel,
                     srgb,
                     confidence,
-                });
+                }),
+                None if is_anew => band.blank.push(texel),
+                None => {}
             }
+        });
+    }
+
+    fn blank(&self, triangle: TriangleId, bands: &mut [BandTexels]) {
+        let page_size = self.layout.page_size_texel;
+        let corners_texel = &self.layout.corners_texel[triangle.index()];
+        for_each_texel_within(corners_texel, page_size, |x, y, _| {
+            let band = &mut bands[y as usize / BAND_ROWS];
+            band.blank.push(y * page_size[0] + x);
         });
     }
 }
 
-/// Writes the frames' texels to the pages; returns how many there were.
+fn num_bands([_, height]: [u32; 2]) -> usize {
+    (height as usize).div_ceil(BAND_ROWS)
+}
+
+/// Writes the frames' texels to the pages; returns how many were painted.
 fn scatter(looks: &[FrameLook<'_>], pages: &mut [TexturePage]) -> usize {
-    pages.par_iter_mut().enumerate().for_each(|(index, page)| {
-        for look in looks {
-            for texel in &look.painted[index] {
-                let index = texel.texel as usize;
-                page.srgb[index] = texel.srgb;
-                page.source[index] = look.source;
-                page.confidence[index] = texel.confidence;
+    pages.par_iter_mut().enumerate().for_each(|(number, page)| {
+        let band_len = BAND_ROWS * page.width as usize;
+        let first_band = number * num_bands([page.width, page.height]);
+        let srgb = page.srgb.par_chunks_mut(band_len);
+        let source = page.source.par_chunks_mut(band_len);
+        let confidence = page.confidence.par_chunks_mut(band_len);
+        let bands = srgb.zip(source).zip(confidence).enumerate();
+        bands.for_each(|(band, ((srgb, source), confidence))| {
+            let first = band * band_len;
+            for look in looks {
+                for task in &look.painted {
+                    let BandTexels { painted, blank } = &task[first_band + band];
+                    for texel in painted {
+                        let index = texel.texel as usize - first;
+                        srgb[index] = texel.srgb;
+                        source[index] = look.source;
+                        confidence[index] = texel.confidence;
+                    }
+                    for texel in blank {
+                        let index = *texel as usize - first;
+                        srgb[index] = [0; 3];
+                        source[index] = TexelSource::NONE;
+                        confidence[index] = 0;
+                    }
+                }
             }
-        }
+        });
     });
-    let painted = looks.iter().flat_map(|look| &look.painted);
-    painted.map(Vec::len).sum()
+    let painted = looks.iter().flat_map(|look| &look.painted).flatten();
+    painted.map(|band| band.painted.len()).sum()
 }
