@@ -277,6 +277,8 @@ pub const PARAMETERS: &[Parameter] = &[
         Float32(|c| &mut c.pipeline.stream.hysteresis, 0.0, 100.0)),
     row("stream.view_cache_mb", "MB", "Memory for the depths that keyframes see, which are then not drawn anew in each update.",
         Float(|c| &mut c.pipeline.stream.view_cache_mb, 0.0, 1e6)),
+    row("stream.batch_keyframes", "", "New keyframes that see little unpainted surface (at most a tenth of the triangles in view) wait until there are this many, nothing else changes, or as many updates went by: several together cost little more than one. 1 for none to wait.",
+        Count(|c| &mut c.pipeline.stream.batch_frames, 1, 1000)),
     row("stream.max_new_keyframes", "", "New keyframes that an update takes in at most, those first that see most of what no frame paints yet; the others wait for the next update. 0 for no limit.",
         Count(|c| &mut c.pipeline.stream.max_new_frames, 0, 1_000_000)),
     row("stream.page_size_texel", "texel", "Side of the pages, at most that of the atlas.",

@@ -59,6 +59,7 @@ use super::density::SizeRule;
 use super::flatten::FlattenError;
 use super::transfer::{MAX_FRAMES_IN_ANY_ORDER, MeanForm, PaintBuffers};
 use super::{Coupling, Decode, Observer, Stage, TexInitParams};
+use budget::Held;
 use charts::StreamChart;
 use keyframes::KnownFrames;
 use views::{Drawing, KeptViews};
@@ -87,6 +88,9 @@ pub struct StreamParams {
     pub view_cache_mb: f64,
     /// New keyframes that an update takes in at most; the others wait for the next. 0 for no limit.
     pub max_new_frames: usize,
+    /// New keyframes that see little unpainted surface wait until there are so many, for at most as many
+    /// updates; 1 for none to wait.
+    pub batch_frames: usize,
 }
 
 impl Default for StreamParams {
@@ -99,6 +103,7 @@ impl Default for StreamParams {
             page_size_texel: 2048,
             min_used_share: 0.5,
             max_new_frames: 32,
+            batch_frames: 4,
             view_cache_mb: 256.0,
         }
     }
@@ -137,7 +142,7 @@ pub struct StreamUpdate {
     pub mesh: DiffCounts,
     /// Keyframes that came.
     pub num_frames_added: usize,
-    /// Keyframes that wait for the next update.
+    /// New keyframes that wait for another update.
     pub num_frames_waiting: usize,
     /// Keyframes that went.
     pub num_frames_removed: usize,
@@ -188,6 +193,7 @@ pub struct StreamInit {
     /// Whether the density comes from the images and stays.
     has_density: bool,
     frames: KnownFrames,
+    held: Held,
     typical: TypicalQuality,
     views: KeptViews,
     /// Of these, at most.
@@ -226,6 +232,7 @@ impl StreamInit {
             placer: None,
             has_density: false,
             frames: KnownFrames::default(),
+            held: Held::default(),
             typical: TypicalQuality::default(),
             views: KeptViews::default(),
             max_view_bytes: whole_bytes(stream.view_cache_mb),
@@ -240,8 +247,9 @@ impl StreamInit {
     }
 
     /// Brings the state up to a mesh and keyframes, ascending by id. The images of a keyframe
-    /// never change; its pose may. Where more are new than [`StreamParams::max_new_frames`], the same
-    /// call once more takes in others, until [`StreamUpdate::num_frames_waiting`] is 0.
+    /// never change; its pose may. Where some wait ([`StreamParams::batch_frames`],
+    /// [`StreamParams::max_new_frames`]), the same call once more takes in others, until
+    /// [`StreamUpdate::num_frames_waiting`] is 0.
     ///
     /// # Errors
     /// [`StreamError`]. A frame that does not decode is no error: it paints nothing
@@ -279,7 +287,7 @@ impl StreamInit {
         self.compact(&mut change, &mut update);
         self.lay_out(&mut change);
 
-        let (frames, num_waiting) = self.within_budget(frames);
+        let (frames, num_waiting) = self.taken_in(frames, change.has_other_surface());
         let frames = &*frames;
         update.num_frames_waiting = num_waiting;
         observer.begin(Stage::Assign, frames.len());
@@ -383,6 +391,7 @@ impl StreamInit {
         self.placer = None;
         self.has_density = false;
         self.frames = KnownFrames::default();
+        self.held = Held::default();
         self.typical = TypicalQuality::default();
         self.views = KeptViews::default();
     }

@@ -1,26 +1,84 @@
-//! Which new keyframes an update takes in, where it may not take them all.
+//! Which new keyframes an update takes in, where it does not take them all.
+//!
+//! A keyframe that comes alone costs nearly what several cost that come together: each changes scores, and
+//! with them labels and texels, of all that it sees, and what one paints the next often paints over. So
+//! those that see little unpainted surface wait for others; and of very many some wait for the next
+//! update.
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use super::StreamInit;
 use crate::keyframe::Keyframe;
 use crate::render::Frustum;
 
+/// A keyframe does not wait that sees more unpainted triangles than one in so many of those in its view.
+const URGENT_ONE_IN: usize = 10;
+
+/// New keyframes that wait for others.
+#[derive(Debug, Default)]
+pub(super) struct Held {
+    numbers: BTreeSet<u32>,
+    /// Updates that went by since the first of them came.
+    num_updates: usize,
+}
+
+/// Triangles in charts that a keyframe may see, were nothing in its way.
+#[derive(Clone, Copy)]
+struct InView {
+    num_triangles: usize,
+    /// Those that no frame paints.
+    num_unpainted: usize,
+}
+
 impl StreamInit {
-    /// The keyframes that are known already and as many new ones as an update may take in: those
-    /// first that see most triangles which no frame paints yet, of equal ones the newer. Ascending, with
-    /// the number of those that wait.
-    pub(super) fn within_budget(&self, frames: &[Arc<Keyframe>]) -> (Vec<Arc<Keyframe>>, usize) {
+    /// The keyframes that are known already, and the new ones that are taken in; ascending, with the number
+    /// of those that wait. `has_other_surface` says whether the mesh is another than at the last call.
+    pub(super) fn taken_in(
+        &mut self,
+        frames: &[Arc<Keyframe>],
+        has_other_surface: bool,
+    ) -> (Vec<Arc<Keyframe>>, usize) {
         let is_new = |frame: &&Arc<Keyframe>| self.frames.get(frame.id.0).is_none();
+        let new: Vec<Arc<Keyframe>> = frames.iter().filter(is_new).cloned().collect();
+        if self.waits(&new, has_other_surface) {
+            self.held.num_updates += 1;
+            self.held.numbers = new.iter().map(|frame| frame.id.0).collect();
+            let known = frames.iter().filter(|frame| !is_new(frame));
+            return (known.cloned().collect(), new.len());
+        }
+        self.held = Held::default();
+        self.within_budget(frames, &new)
+    }
+
+    /// Whether all new keyframes wait for others: not for long, nor where nothing else is to be done.
+    fn waits(&self, new: &[Arc<Keyframe>], has_other_surface: bool) -> bool {
+        let (batch, held) = (self.stream.batch_frames, &self.held);
+        let is_same_again =
+            !has_other_surface && (new.iter()).all(|frame| held.numbers.contains(&frame.id.0));
+        let is_due = new.is_empty() || new.len() >= batch || held.num_updates >= batch;
+        !is_due && !is_same_again && !new.iter().any(|frame| self.is_urgent(frame))
+    }
+
+    fn is_urgent(&self, frame: &Keyframe) -> bool {
+        let in_view = self.in_view(frame);
+        in_view.num_unpainted * URGENT_ONE_IN > in_view.num_triangles
+    }
+
+    /// As many new keyframes as an update may take in, those first that see most triangles which no frame
+    /// paints yet, of equal ones the newer.
+    fn within_budget(
+        &self,
+        frames: &[Arc<Keyframe>],
+        new: &[Arc<Keyframe>],
+    ) -> (Vec<Arc<Keyframe>>, usize) {
         let most = self.stream.max_new_frames;
-        let num_new = frames.iter().filter(is_new).count();
-        if most == 0 || num_new <= most {
+        if most == 0 || new.len() <= most {
             return (frames.to_vec(), 0);
         }
-        let mut by_need: Vec<(usize, u32)> = frames
+        let mut by_need: Vec<(usize, u32)> = new
             .iter()
-            .filter(is_new)
-            .map(|frame| (self.num_unpainted_in(frame), frame.id.0))
+            .map(|frame| (self.in_view(frame).num_unpainted, frame.id.0))
             .collect();
         by_need.sort_unstable_by(|a, b| b.cmp(a));
         let mut waiting: Vec<u32> = by_need[most..].iter().map(|(_, number)| *number).collect();
@@ -31,18 +89,22 @@ impl StreamInit {
         (taken.cloned().collect(), waiting.len())
     }
 
-    /// Triangles without a frame in charts that a keyframe may see, were nothing in its way.
-    fn num_unpainted_in(&self, frame: &Keyframe) -> usize {
+    fn in_view(&self, frame: &Keyframe) -> InView {
         let frustum = Frustum::new(
             &frame.color_camera.pinhole,
             &frame.world_from_camera.inverse(),
             self.far_m(),
         );
         let charts = self.charts.iter();
-        let in_view = charts.filter(|chart| frustum.may_see(&chart.bounds));
-        let num_unpainted = |labels: &[Option<u32>]| labels.iter().filter(|l| l.is_none()).count();
+        let mut in_view = InView {
+            num_triangles: 0,
+            num_unpainted: 0,
+        };
+        for chart in charts.filter(|chart| frustum.may_see(&chart.bounds)) {
+            let labels = &chart.labels.assignment().label;
+            in_view.num_triangles += labels.len();
+            in_view.num_unpainted += labels.iter().filter(|label| label.is_none()).count();
+        }
         in_view
-            .map(|chart| num_unpainted(&chart.labels.assignment().label))
-            .sum()
     }
 }
