@@ -1,7 +1,5 @@
 //! Drawing on plain images: smaller, different, hatched, labelled.
 
-use std::sync::LazyLock;
-
 use rayon::prelude::*;
 
 use crate::atlas::TexelSource;
@@ -23,24 +21,6 @@ pub fn fitted_size(width: u32, height: u32, max_side_px: u32) -> [u32; 2] {
         let scaled = u64::from(side) * u64::from(max_side_px) / u64::from(longest);
         u32::try_from(scaled).unwrap_or(max_side_px).max(1)
     })
-}
-
-const NUM_STEPS: usize = 4096;
-
-static SRGB_OF_STEP: LazyLock<Vec<u8>> = LazyLock::new(|| {
-    (0..=NUM_STEPS)
-        .map(|step| srgb_from_linear(step as f32 / NUM_STEPS as f32))
-        .collect()
-});
-
-/// [`srgb_from_linear`] within one byte, without the power function of each pixel.
-#[expect(
-    clippy::cast_possible_truncation,
-    clippy::cast_sign_loss,
-    reason = "clamped to the table before the cast"
-)]
-fn srgb_nearly(linear: f32) -> u8 {
-    SRGB_OF_STEP[(linear.clamp(0.0, 1.0) * NUM_STEPS as f32 + 0.5) as usize]
 }
 
 /// Mean in linear light over the pixels that each new pixel covers, those that `is_counted` (by
@@ -77,7 +57,7 @@ pub fn downscale_where(
                 }
                 row.push(match count {
                     0 => colors::BACKGROUND,
-                    _ => sum.map(|total| srgb_nearly(total / count as f32)),
+                    _ => sum.map(|total| srgb_from_linear(total / count as f32)),
                 });
             }
             row

@@ -32,6 +32,7 @@ pub mod cues;
 pub mod label;
 pub mod pairwise;
 pub(crate) mod quality;
+mod steady;
 mod table;
 pub mod validity;
 

@@ -237,6 +237,14 @@ impl Coverage {
         coverage
     }
 
+    /// Of a triangle all of whose texels are painted.
+    pub(crate) fn complete(num_texels: u32) -> Self {
+        Self {
+            num_painted: num_texels,
+            num_unpainted: 0,
+        }
+    }
+
     fn is_complete(self) -> bool {
         self.num_unpainted == 0 && self.num_painted > 0
     }

@@ -99,7 +99,7 @@ impl Default for StreamParams {
             diff: DiffParams::default(),
             max_drift_m: 0.05,
             remake_below_triangles: 100,
-            hysteresis: 0.0,
+            hysteresis: 0.1,
             page_size_texel: 2048,
             min_used_share: 0.5,
             max_new_frames: 32,

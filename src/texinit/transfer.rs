@@ -149,8 +149,9 @@ pub(crate) fn transfer_poses(
         known: None,
     };
     let buffers = &mut PaintBuffers::default();
-    let (means, mut report) = painter.paint_all(job, frames, buffers, decode, progress, &mut pages);
-    for MeanJob { texels, .. } in &means {
+    let done = painter.paint_all(job, frames, buffers, decode, progress, &mut pages);
+    let mut report = done.report;
+    for MeanJob { texels, .. } in &done.means {
         let written = texels.write(layout, params.mean_form, &mut pages, |_| true);
         (report.num_mean, report.num_unseen) = written;
     }

@@ -10,6 +10,7 @@ use super::cues::{Candidate, TripleColor};
 use super::label::{CandidateTable, ColorSum};
 use super::pairwise::{self, Adjacency, PairwiseParams, Ranked};
 use super::quality::TypicalQuality;
+use super::steady::Steadying;
 use super::{AssignParams, ColorCue};
 
 /// How many of the best resolved views the texel density is taken from.
@@ -132,41 +133,34 @@ impl Comparison {
         }
     }
 
-    /// The labels of best total score found where one that stays as it was earns `bonus`: they are worth
-    /// less than those of [`Self::solve`] by at most `bonus` times the number of triangles.
-    pub(crate) fn solve_favouring(
+    /// The same with labels that stay as they were where others score hardly better: they are worth less
+    /// than those of [`Self::solve`] by at most `hysteresis` times the number of triangles.
+    pub(crate) fn solve_steadily(
         &self,
         before: &[Option<u32>],
-        bonus: f32,
+        hysteresis: f32,
         adjacency: &Adjacency,
         params: &AssignParams,
     ) -> Vec<Option<u32>> {
-        let favouring = Self {
-            ranked: self.ranked.favouring(before, bonus),
-            ..self.clone()
+        let steadying = Steadying {
+            ranked: &self.ranked,
+            adjacency,
+            weight: pairwise_weight(params),
+            before,
         };
-        let value = |label: &[Option<u32>]| favouring.value_of(label, adjacency, params);
-        // The solver may miss the best: then what is best without the bonus is not given up for it.
-        let [steady, best] = [&favouring, self].map(|these| these.solve(adjacency, params));
-        if value(&steady) >= value(&best) {
-            steady
-        } else {
-            best
-        }
+        steadying.steadied(self.solve(adjacency, params), hysteresis)
     }
 
     /// What labels earn together.
+    #[cfg(test)]
     pub(crate) fn value_of(
         &self,
         label: &[Option<u32>],
         adjacency: &Adjacency,
         params: &AssignParams,
     ) -> f64 {
-        let weight = params
-            .pairwise
-            .as_ref()
-            .map_or(0.0, |pairwise| pairwise.weight);
-        self.ranked.value_of(label, adjacency.pairs(), weight)
+        self.ranked
+            .value_of(label, adjacency.pairs(), pairwise_weight(params))
     }
 
     /// Per triangle: its best resolved views' texels per metre.
@@ -185,6 +179,11 @@ impl Comparison {
             })
             .collect()
     }
+}
+
+fn pairwise_weight(params: &AssignParams) -> f32 {
+    let pairwise = params.pairwise.as_ref();
+    pairwise.map_or(0.0, |pairwise| pairwise.weight)
 }
 
 impl<'a> Scores<'a> {

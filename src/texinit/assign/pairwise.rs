@@ -95,22 +95,15 @@ impl Ranked {
         self.num_choices[triangle] = 0;
     }
 
-    /// The same where a triangle's candidate of a given frame scores more by `bonus`.
-    pub(crate) fn favouring(&self, label: &[Option<u32>], bonus: f32) -> Self {
-        let mut ranked = self.clone();
-        for (triangle, frame) in label.iter().enumerate() {
-            let num = usize::from(self.num_choices[triangle]);
-            let slots = &mut ranked.choices[triangle * self.width..][..num];
-            let favoured = slots.iter().position(|choice| Some(choice.frame) == *frame);
-            if let Some(slot) = favoured {
-                slots[slot].score += bonus;
-                let before = slots.partition_point(|choice| choice.score > slots[slot].score);
-                slots[before.min(slot)..=slot].rotate_right(1);
-            }
-        }
-        ranked
+    /// What a frame scores for a triangle; `None` where it is no candidate.
+    pub(super) fn score_of(&self, triangle: u32, frame: u32) -> Option<f32> {
+        let mut choices = self.of(triangle as usize).iter();
+        choices
+            .find(|choice| choice.frame == frame)
+            .map(|choice| choice.score)
     }
 
+    #[cfg(test)]
     /// What labels earn: scores, and `weight` for each pair of the same frame. A label that is no
     /// candidate earns nothing.
     pub(crate) fn value_of(
@@ -191,8 +184,8 @@ impl Adjacency {
         Self::new(triangles.len(), adjacent_pairs(triangles))
     }
 
-    /// From sorted pairs.
-    fn new(num_triangles: usize, pairs: Vec<[u32; 2]>) -> Self {
+    /// From sorted pairs, the lower number first.
+    pub(super) fn new(num_triangles: usize, pairs: Vec<[u32; 2]>) -> Self {
         let neighbours = Neighbours::new(num_triangles, &pairs);
         let block_of = |triangle: u32| triangle as usize / BLOCK_SIZE;
         let (mut within, between): (Vec<_>, Vec<_>) = pairs
@@ -209,9 +202,14 @@ impl Adjacency {
         }
     }
 
-    /// All of them, each once.
+    /// All pairs, each once.
     pub(crate) fn pairs(&self) -> &[[u32; 2]] {
         &self.pairs
+    }
+
+    /// What is adjacent to a triangle.
+    pub(super) fn of_triangle(&self, triangle: u32) -> &[u32] {
+        self.neighbours.of(triangle as usize)
     }
 }
 

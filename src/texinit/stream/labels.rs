@@ -134,7 +134,7 @@ impl KeptLabels {
         let label = if !has_others && !is_new {
             before.clone()
         } else if hysteresis > 0.0 && !is_new {
-            comparison.solve_favouring(before, hysteresis, adjacency, params)
+            comparison.solve_steadily(before, hysteresis, adjacency, params)
         } else {
             comparison.solve(adjacency, params)
         };

@@ -7,6 +7,7 @@ use super::surface::SurfaceChange;
 use super::{StreamError, StreamInit, StreamUpdate};
 use crate::atlas::{ChartPlacer, PackError, PackParams, PlacedPiece, TexturePage};
 use crate::keyframe::Keyframe;
+use crate::texinit::assign::AssignParams;
 use crate::texinit::flatten::FlatChart;
 use crate::texinit::{Decode, assign, density};
 
@@ -100,7 +101,11 @@ impl StreamInit {
         decode: &Decode<'_>,
     ) -> Result<f64, StreamError> {
         let mesh = change.mesh();
-        let seen = assign::assign(mesh, frames, decode, &self.params.assign, &|_| ())?;
+        let alone = AssignParams {
+            pairwise: None,
+            ..self.params.assign.clone()
+        };
+        let seen = assign::assign(mesh, frames, decode, &alone, &|_| ())?;
         let params = &self.params.density;
         let wanted = density::wanted_texels_per_m(mesh, &seen.best_texels_per_m, params);
         if params.texels_per_m > 0.0 {

@@ -44,6 +44,13 @@ struct Plan {
     wiped: Vec<TriangleId>,
 }
 
+/// Triangles with texels that may be others than before.
+struct Touched {
+    /// With the number of their texels, all of which one keyframe painted.
+    complete: Vec<(TriangleId, u32)>,
+    others: Vec<TriangleId>,
+}
+
 impl StreamInit {
     /// Paints what is painted otherwise than before.
     #[expect(
@@ -71,11 +78,11 @@ impl StreamInit {
             };
             plan.add_chart(chart, &sight, before.as_ref(), turnover, is_assigned);
         }
-        let painted = plan.assigned.iter().map(|(_, triangle)| *triangle);
-        let mut touched: Vec<TriangleId> = painted.chain(plan.wiped.iter().copied()).collect();
         self.wipe(&plan.wiped, &|_| true);
-        touched.extend(self.paint(plan, frames, turnover, views, decode, observer));
-        update.num_triangles_painted = touched.len();
+        let wiped = plan.wiped.clone();
+        let mut touched = self.paint(plan, frames, turnover, views, decode, observer);
+        touched.others.extend(wiped);
+        update.num_triangles_painted = touched.complete.len() + touched.others.len();
         self.repainted(&touched)
     }
 
@@ -99,8 +106,9 @@ impl StreamInit {
         });
     }
 
-    /// Paints; returns the triangles of [`Plan::grown`] to whose sums a keyframe added. Texels of triangles
-    /// whose keyframe does not paint, because it no longer decodes, become blank.
+    /// Paints; returns the triangles that were assigned to a keyframe, and those of [`Plan::grown`] to whose
+    /// sums one added. Texels of triangles whose keyframe does not paint, because it no longer decodes,
+    /// become blank.
     fn paint(
         &mut self,
         plan: Plan,
@@ -109,7 +117,7 @@ impl StreamInit {
         views: &mut [ViewSlot],
         decode: &Decode<'_>,
         observer: &dyn Observer,
-    ) -> Vec<TriangleId> {
+    ) -> Touched {
         let known = |frame: &Arc<Keyframe>| self.frames.get(frame.id.0);
         let is_usable: Vec<bool> = frames
             .iter()
@@ -166,11 +174,11 @@ impl StreamInit {
         let advance = |num_steps: usize| observer.advance(num_steps);
         let (pages, buffers) = (&mut self.texture.pages, &mut self.buffers);
         buffers.views = views.iter_mut().map(|slot| slot.view.take()).collect();
-        let (means, report) = painter.paint_all(job, &poses, buffers, &decode_at, &advance, pages);
+        let done = painter.paint_all(job, &poses, buffers, &decode_at, &advance, pages);
         for (slot, view) in views.iter_mut().zip(buffers.views.drain(..)) {
             slot.view = view;
         }
-        let failed = report.failed_frames.iter();
+        let failed = done.report.failed_frames.iter();
         let failed: Vec<u32> = failed
             .map(|failed| frames[failed.frame as usize].id.0)
             .collect();
@@ -179,7 +187,7 @@ impl StreamInit {
         let left = plan.assigned.iter().filter(|(number, _)| is_left(number));
         let left: Vec<TriangleId> = left.map(|(_, triangle)| *triangle).collect();
         self.wipe(&left, &|_| true);
-        let [anew, grown] = [0, 1].map(|index: usize| &means[index].texels);
+        let [anew, grown] = [0, 1].map(|index: usize| &done.means[index].texels);
         let has_grown: Vec<TriangleId> = grown.grown().collect();
         // Until now these showed the means before.
         self.wipe(&has_grown, &|source| source.as_keyframe().is_none());
@@ -187,29 +195,40 @@ impl StreamInit {
         let pages = &mut self.texture.pages;
         anew.write(&self.layout, form, pages, |_| true);
         grown.write(&self.layout, form, pages, |has_grown| has_grown);
-        for (triangle, sums) in means.into_iter().flat_map(|means| means.texels.into_sums()) {
+        for (triangle, sums) in done
+            .means
+            .into_iter()
+            .flat_map(|means| means.texels.into_sums())
+        {
             let chart = &mut self.charts[self.layout.chart_of_triangle[triangle.index()].index()];
             let number = triangle.index() - chart.first_triangle();
             #[expect(clippy::cast_possible_truncation, reason = "a number in a mesh")]
             chart.means.insert(number as u32, sums);
         }
-        has_grown
+        Touched {
+            complete: done.complete,
+            others: [done.partly, left, has_grown].concat(),
+        }
     }
 
     /// Counts the texels of what was painted anew, and marks charts and vertices.
-    fn repainted(&mut self, touched: &[TriangleId]) -> Repainted {
+    fn repainted(&mut self, touched: &Touched) -> Repainted {
         let mut repainted = Repainted {
             is_chart: vec![false; self.charts.len()],
             is_vertex: vec![false; self.mesh.num_vertices()],
         };
-        let coverage: Vec<Coverage> = touched
+        let others: Vec<Coverage> = touched
+            .others
             .par_iter()
             .map(|triangle| {
                 let page = &self.texture.pages[self.layout.page_of(*triangle) as usize];
                 Coverage::of(&self.layout.corners_texel[triangle.index()], page)
             })
             .collect();
-        for (&triangle, coverage) in touched.iter().zip(coverage) {
+        let complete = touched.complete.iter();
+        let complete = complete.map(|&(triangle, num)| (triangle, Coverage::complete(num)));
+        let others = touched.others.iter().copied().zip(others);
+        for (triangle, coverage) in complete.chain(others) {
             let index = self.layout.chart_of_triangle[triangle.index()].index();
             repainted.is_chart[index] = true;
             for vertex in self.mesh.triangles()[triangle.index()] {

@@ -67,6 +67,15 @@ struct Painted {
     confidence: u8,
 }
 
+/// What a task writes.
+struct TaskTexels {
+    /// By page, and by band there.
+    bands: Vec<BandTexels>,
+    /// Triangles, with the number of their texels, all of which are painted.
+    complete: Vec<(TriangleId, u32)>,
+    partly: Vec<TriangleId>,
+}
+
 /// What is written to a band of a page.
 #[derive(Clone, Default)]
 struct BandTexels {
@@ -100,8 +109,7 @@ pub(super) struct FrameLook<'a> {
     pub(super) pose: CameraPose,
     /// Drawn only where a mean needs it.
     pub(super) visibility: Option<&'a VisibilityBuffer>,
-    /// Per task: by page, and by band there.
-    painted: Vec<Vec<BandTexels>>,
+    painted: Vec<TaskTexels>,
 }
 
 /// Pixels of a triangle's corners; `None` unless all are in front of the camera.
@@ -138,6 +146,17 @@ impl CameraPose {
     }
 }
 
+/// What came of a job.
+pub(crate) struct PaintDone {
+    /// With what the frames added; written by [`MeanTexels::write`].
+    pub(crate) means: Vec<MeanJob>,
+    pub(crate) report: TransferReport,
+    /// Triangles that their frame painted, with the number of their texels.
+    pub(crate) complete: Vec<(TriangleId, u32)>,
+    /// Triangles of which their frame painted not all.
+    pub(crate) partly: Vec<TriangleId>,
+}
+
 /// Paints triangles of one mesh and layout.
 pub(crate) struct Painter<'a> {
     pub(crate) mesh: &'a TriMesh,
@@ -149,8 +168,7 @@ pub(crate) struct Painter<'a> {
 
 impl Painter<'_> {
     /// Paints what the job says and nothing else: texels of its triangles that nobody sees stay as
-    /// they are. Returns the means with what the frames added to them; they are written by
-    /// [`MeanTexels::write`].
+    /// they are.
     pub(crate) fn paint_all(
         &self,
         mut job: PaintJob<'_>,
@@ -159,8 +177,9 @@ impl Painter<'_> {
         decode: &(dyn Fn(usize) -> Result<Arc<DecodedFrame>, ImageError> + Sync),
         progress: &(dyn Fn(usize) + Sync),
         pages: &mut [TexturePage],
-    ) -> (Vec<MeanJob>, TransferReport) {
+    ) -> PaintDone {
         let mut report = TransferReport::default();
+        let (mut complete, mut partly) = (Vec::new(), Vec::new());
         let PaintBuffers {
             of_group: buffers,
             views,
@@ -195,13 +214,22 @@ impl Painter<'_> {
                 }
             }
             report.num_assigned += scatter(&seen, pages);
+            for task in seen.iter().flat_map(|look| &look.painted) {
+                complete.extend_from_slice(&task.complete);
+                partly.extend_from_slice(&task.partly);
+            }
             for MeanJob { texels, counts } in &mut job.means {
                 let looks = seen.iter().filter(|look| counts[look.index]);
                 let looks: Vec<&FrameLook<'_>> = looks.collect();
                 texels.accumulate(self.mesh, self.layout, &looks, self.params);
             }
         }
-        (job.means, report)
+        PaintDone {
+            means: job.means,
+            report,
+            complete,
+            partly,
+        }
     }
 
     /// What of a frame's visibility buffer is looked at: where triangles lie that are partly hidden, or
@@ -306,10 +334,8 @@ impl Painter<'_> {
             Some(frame) => frame,
             None => decode()?,
         };
-        let num_bands = num_bands(self.layout.page_size_texel);
         let tasks = triangles.par_chunks(TASK_SIZE).map(|triangles| {
-            let mut painted =
-                vec![BandTexels::default(); self.layout.num_pages as usize * num_bands];
+            let mut texels = TaskTexels::new(self.layout);
             for &triangle in triangles {
                 let sampler = TriangleSampler::new(
                     camera_pose.corners_in_camera(self.mesh, triangle),
@@ -318,17 +344,15 @@ impl Painter<'_> {
                     self.params,
                 );
                 let hiding = visibility.filter(|_| self.is_partly_hidden[triangle.index()]);
-                let first_band = self.layout.page_of(triangle) as usize * num_bands;
-                let bands = &mut painted[first_band..first_band + num_bands];
                 match sampler {
                     Some(sampler) => {
-                        self.paint(triangle, &sampler, &frame, hiding, job.is_anew, bands);
+                        self.paint(triangle, &sampler, &frame, hiding, job.is_anew, &mut texels);
                     }
-                    None if job.is_anew => self.blank(triangle, bands),
+                    None if job.is_anew => self.blank(triangle, &mut texels),
                     None => {}
                 }
             }
-            painted
+            texels
         });
         let painted = tasks.collect();
         Ok(Some(FrameLook {
@@ -394,11 +418,13 @@ impl Painter<'_> {
         frame: &DecodedFrame,
         hiding: Option<&VisibilityBuffer>,
         is_anew: bool,
-        bands: &mut [BandTexels],
+        out: &mut TaskTexels,
     ) {
         let page_size = self.layout.page_size_texel;
         let corners_texel = &self.layout.corners_texel[triangle.index()];
         let confidence = sampler.confidence();
+        let bands = out.bands_of(self.layout, triangle);
+        let [mut num_painted, mut num_blank] = [0_u32; 2];
         for_each_texel_within(corners_texel, page_size, |x, y, weights| {
             let texel = sampler.at(weights);
             let is_hidden = hiding.is_some_and(|buffer| {
@@ -410,25 +436,54 @@ impl Painter<'_> {
             };
             let band = &mut bands[y as usize / BAND_ROWS];
             let texel = y * page_size[0] + x;
-            match color {
-                Some(srgb) => band.painted.push(Painted {
+            if let Some(srgb) = color {
+                num_painted += 1;
+                band.painted.push(Painted {
                     texel,
                     srgb,
                     confidence,
-                }),
-                None if is_anew => band.blank.push(texel),
-                None => {}
+                });
+            } else {
+                num_blank += 1;
+                if is_anew {
+                    band.blank.push(texel);
+                }
             }
         });
+        if num_blank == 0 {
+            out.complete.push((triangle, num_painted));
+        } else {
+            out.partly.push(triangle);
+        }
     }
 
-    fn blank(&self, triangle: TriangleId, bands: &mut [BandTexels]) {
+    fn blank(&self, triangle: TriangleId, out: &mut TaskTexels) {
         let page_size = self.layout.page_size_texel;
         let corners_texel = &self.layout.corners_texel[triangle.index()];
+        let bands = out.bands_of(self.layout, triangle);
         for_each_texel_within(corners_texel, page_size, |x, y, _| {
             let band = &mut bands[y as usize / BAND_ROWS];
             band.blank.push(y * page_size[0] + x);
         });
+        out.partly.push(triangle);
+    }
+}
+
+impl TaskTexels {
+    fn new(layout: &AtlasLayout) -> Self {
+        let num_bands = layout.num_pages as usize * num_bands(layout.page_size_texel);
+        Self {
+            bands: vec![BandTexels::default(); num_bands],
+            complete: Vec::new(),
+            partly: Vec::new(),
+        }
+    }
+
+    /// Those of the triangle's page.
+    fn bands_of(&mut self, layout: &AtlasLayout, triangle: TriangleId) -> &mut [BandTexels] {
+        let num_bands = num_bands(layout.page_size_texel);
+        let first = layout.page_of(triangle) as usize * num_bands;
+        &mut self.bands[first..first + num_bands]
     }
 }
 
@@ -449,7 +504,7 @@ fn scatter(looks: &[FrameLook<'_>], pages: &mut [TexturePage]) -> usize {
             let first = band * band_len;
             for look in looks {
                 for task in &look.painted {
-                    let BandTexels { painted, blank } = &task[first_band + band];
+                    let BandTexels { painted, blank } = &task.bands[first_band + band];
                     for texel in painted {
                         let index = texel.texel as usize - first;
                         srgb[index] = texel.srgb;
@@ -466,6 +521,7 @@ fn scatter(looks: &[FrameLook<'_>], pages: &mut [TexturePage]) -> usize {
             }
         });
     });
-    let painted = looks.iter().flat_map(|look| &look.painted).flatten();
-    painted.map(|band| band.painted.len()).sum()
+    let tasks = looks.iter().flat_map(|look| &look.painted);
+    let bands = tasks.flat_map(|task| &task.bands);
+    bands.map(|band| band.painted.len()).sum()
 }

@@ -1,7 +1,5 @@
 //! From a texel of a triangle to its colour in one image.
 
-use std::sync::LazyLock;
-
 use nalgebra::{Point3, Vector2, Vector3};
 
 use crate::geom::color::{linear_table, srgb_from_linear};
@@ -174,12 +172,7 @@ impl TexelSampler<'_> {
         if self.triangle.num_samples == [1, 1] {
             return (self.center.z > 0.0).then(|| sample_srgb(image, &self.center));
         }
-        let [r, g, b] = self.linear_color(image)?;
-        Some([
-            srgb_from_linear_fast(r),
-            srgb_from_linear_fast(g),
-            srgb_from_linear_fast(b),
-        ])
+        Some(self.linear_color(image)?.map(srgb_from_linear))
     }
 
     /// Linear light in [0, 1], averaged over the texel's footprint.
@@ -273,23 +266,4 @@ fn footprint(image: &ColorImage, h: &Vector3<f64>) -> ([[u8; 3]; 4], f32, f32) {
 )]
 fn round_byte(value: f32) -> u8 {
     (value + 0.5) as u8
-}
-
-/// Steps fine enough that even near black, where sRGB is steepest, a step is a twentieth of a byte.
-const NUM_LINEAR_STEPS: u16 = u16::MAX;
-
-static SRGB_FROM_LINEAR: LazyLock<Vec<u8>> = LazyLock::new(|| {
-    (0..=NUM_LINEAR_STEPS)
-        .map(|step| srgb_from_linear(f32::from(step) / f32::from(NUM_LINEAR_STEPS)))
-        .collect()
-});
-
-#[expect(
-    clippy::cast_possible_truncation,
-    clippy::cast_sign_loss,
-    reason = "clamped to the table before the cast"
-)]
-fn srgb_from_linear_fast(linear: f32) -> u8 {
-    let step = (linear.clamp(0.0, 1.0) * f32::from(NUM_LINEAR_STEPS) + 0.5) as usize;
-    SRGB_FROM_LINEAR.get(step).copied().unwrap_or(0)
 }
