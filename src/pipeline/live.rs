@@ -343,6 +343,18 @@ impl Painter {
         ]
     }
 
+    /// All charts of what was painted of changes are to be refined by the optimisation in idle time, by at
+    /// least so many steps over the whole; see [`StreamPainter::smooth_all`].
+    pub fn smooth_all(&mut self, num_steps: usize, params: &PipelineParams) {
+        let params = &params.memory.applied_to(params);
+        self.stream.smooth_all(num_steps, params);
+    }
+
+    /// The next painting takes that back; see [`StreamPainter::take_back_smooth_all`].
+    pub fn take_back_smooth_all(&mut self) {
+        self.stream.take_back_smooth_all();
+    }
+
     /// Refines a bounded part of what was painted of changes; see [`StreamPainter::refine_some`].
     ///
     /// # Errors

@@ -7,10 +7,11 @@
 //! | atlas | a share of the budget: the density of texels is lowered |
 //! | mesh, score tables | as large as mesh and frames make them; reserved |
 //! | images with their gain | 3 % of the budget |
+//! | what the optimisation works on | reserved, while painting follows changes; texels and views of the mesh are 5 % of the budget each at most |
 //! | depths that keyframes see | a third of what the others leave, while painting follows changes |
 //! | decoded images | the rest |
 //!
-//! The shares of images and atlas depend on the settings alone, so that what is painted depends
+//! The shares of images, atlas and optimisation depend on the settings alone, so that what is painted depends
 //! on the events and the settings alone; depths and decoded images, whose number changes nothing, give way.
 
 use super::run::PipelineParams;
@@ -37,6 +38,9 @@ pub struct MemoryPlan {
     pub tables: u64,
     /// Images with their gain.
     pub corrected: u64,
+    /// Charts that the optimisation works on, what it looks at, and the discriminator, while painting
+    /// follows changes.
+    pub smoothing: u64,
     /// Depths that keyframes see, kept from update to update.
     pub kept_views: u64,
     /// Decoded images kept for reuse.
@@ -47,7 +51,7 @@ impl MemoryPlan {
     /// All parts together.
     pub fn total(&self) -> u64 {
         let fixed = self.process + self.keyframes + self.atlas + self.tables + self.corrected;
-        fixed + self.kept_views + self.decode_cache
+        fixed + self.smoothing + self.kept_views + self.decode_cache
     }
 }
 
@@ -63,6 +67,13 @@ const CORRECTED_SHARE: f64 = 0.03;
 const STREAM_BYTES: u64 = 80_000_000;
 /// Reduced photos that idle steps keep.
 const IDLE_BYTES: u64 = 16_000_000;
+/// What the optimisation of some charts may have of the budget, once for their texels and once for what
+/// views see of the mesh.
+const SMOOTH_SHARE: f64 = 0.05;
+/// The discriminator with its moments and scratch memory, and what a step looks at.
+const SMOOTH_BYTES: u64 = 100_000_000;
+/// A texel that the optimisation works on, in tiles that other charts share.
+const SMOOTH_TEXEL_BYTES: f64 = 90.0;
 /// A texel of the atlas, and the copy that an export or a change of its page makes.
 const TEXEL_BYTES: f64 = 14.0;
 /// The same texel as TexInit left it, where what is shown of changes is refined.
@@ -88,6 +99,14 @@ impl MemoryParams {
             pack.max_texels = pack.max_texels.min(max_texels);
             let corrected_mb = CORRECTED_SHARE * self.budget_mb;
             params.refine.cache_mb = params.refine.cache_mb.min(corrected_mb);
+            if params.follows_changes() {
+                let share_bytes = SMOOTH_SHARE * self.budget_bytes();
+                let view_cache_mb = &mut params.texsmooth.view_cache_mb;
+                *view_cache_mb = view_cache_mb.min(1e-6 * share_bytes);
+                let most = bytes(share_bytes / SMOOTH_TEXEL_BYTES);
+                let max_texels = &mut params.idle.max_texels;
+                *max_texels = usize::try_from(most).map_or(*max_texels, |n| n.min(*max_texels));
+            }
         }
         params
     }
@@ -135,6 +154,7 @@ impl MemoryParams {
             keyframes: num_keyframe_bytes as u64,
             atlas,
             tables: num_triangles as u64 * TRIANGLE_BYTES + bytes(pairs * SCORED_PAIR_BYTES),
+            smoothing: smoothing_bytes(&applied),
             kept_views: 0,
             decode_cache: 0,
         };
@@ -173,8 +193,18 @@ impl MemoryPlan {
 
 fn texel_bytes(params: &PipelineParams) -> f64 {
     let seams = &params.refine.seams;
-    let has_base = params.follows_changes() && (seams.has_global || seams.has_local);
+    let is_refined = seams.has_global || seams.has_local || params.texsmooth.num_steps > 0;
+    let has_base = params.follows_changes() && is_refined;
     TEXEL_BYTES + if has_base { BASE_TEXEL_BYTES } else { 0.0 }
+}
+
+fn smoothing_bytes(params: &PipelineParams) -> u64 {
+    let smooth = &params.texsmooth;
+    if !params.follows_changes() || smooth.num_steps == 0 {
+        return 0;
+    }
+    let texels = params.idle.max_texels as f64 * SMOOTH_TEXEL_BYTES;
+    SMOOTH_BYTES + bytes(texels + smooth.view_cache_mb * 1e6)
 }
 
 #[expect(
@@ -203,6 +233,33 @@ mod tests {
         );
         let plan = memory.plan(&params, 1000, 3, 500);
         assert_eq!(plan.decode_cache, 700_000_000);
+    }
+
+    #[test]
+    fn the_optimisation_has_its_part_where_painting_follows_changes() {
+        let mut params = PipelineParams {
+            stream_mode: StreamMode::Changes,
+            ..PipelineParams::default()
+        };
+        let memory = MemoryParams { budget_mb: 1000.0 };
+        let applied = memory.applied_to(&params);
+        assert_eq!(applied.texsmooth.view_cache_mb, 50.0);
+        let group_bytes = applied.idle.max_texels as f64 * SMOOTH_TEXEL_BYTES;
+        assert!(group_bytes <= 50e6);
+        let none = memory.plan(&params, 0, 0, 0);
+        assert_eq!(none.smoothing, 0);
+        params.texsmooth.num_steps = 1;
+        let plan = memory.plan(&params, 0, 0, 0);
+        assert_eq!(
+            plan.smoothing,
+            SMOOTH_BYTES + 50_000_000 + bytes(group_bytes)
+        );
+        assert_eq!(plan.total(), plan.budget);
+        assert_eq!(texel_bytes(&params), TEXEL_BYTES + BASE_TEXEL_BYTES);
+        params.stream_mode = StreamMode::Whole;
+        assert_eq!(memory.plan(&params, 0, 0, 0).smoothing, 0);
+        let whole = memory.applied_to(&params).texsmooth;
+        assert_eq!(whole.view_cache_mb, params.texsmooth.view_cache_mb);
     }
 
     #[test]

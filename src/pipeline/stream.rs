@@ -3,9 +3,9 @@
 //!
 //! What is painted is TexInit's result ([`crate::texinit::stream`]), from photos with their gains where
 //! these are asked for: each keyframe gets its own when it comes, beside those that stand
-//! ([`stream_gains`]), and keeps it. Corrected poses and levelled seams follow in idle time ([`idle`]),
-//! part by part, on what changed. What works on the whole texture at once (the optimisation) is refused,
-//! not left out.
+//! ([`stream_gains`]), and keeps it. Corrected poses, levelled seams and the optimisation follow in idle
+//! time ([`idle`]), part by part, on what changed. What works on the whole texture at once (an optimisation
+//! that starts from grey, goes on from a checkpoint, or has a time) is refused, not left out.
 //!
 //! [`stream()`] drives it by the time of the stream, so that the same events give the same updates.
 
@@ -15,10 +15,12 @@ mod poses;
 mod refined;
 mod replayed;
 mod small_photos;
+mod smoothed;
 mod stream_gains;
 
 use std::sync::Arc;
 
+use super::StreamMode;
 use super::clock::StageClock;
 use super::live::{Capture, memory_plan};
 use super::progress::Progress;
@@ -30,14 +32,16 @@ use crate::geom::ImageError;
 use crate::keyframe::{DecodedFrame, Keyframe, KeyframeParams, KeyframeStore};
 use crate::mesh::TriMesh;
 use crate::photometric::{CorrectedFrames, GainTable};
-use crate::texinit::TexInitParams;
 use crate::texinit::stream::{StreamInit, StreamParams, StreamUpdate};
+use crate::texinit::{Decode, TexInitParams};
+use crate::texsmooth::{SmoothStart, TexSmoothParams};
 
 pub use driver::stream;
 use poses::StreamPoses;
-use refined::Refined;
+use refined::{Refined, Wanted, tell};
 pub use replayed::{UpdateSummary, run_streamed};
 use small_photos::SmallPhotos;
+use smoothed::StreamSmoothing;
 
 /// What a capture or an idle step changed.
 #[derive(Debug)]
@@ -68,12 +72,18 @@ struct Kept {
     texinit: TexInitParams,
     stream: StreamParams,
     refine: RefineParams,
+    texsmooth: TexSmoothParams,
     gains: GainTable,
     weld: (f64, u32),
     /// What was painted.
     capture: Option<Capture>,
-    /// `None` where no seams are levelled: then the state's texture is shown.
+    /// `None` where no charts are refined: then the state's texture is shown.
     refined: Option<Refined>,
+    smoothing: StreamSmoothing,
+    /// Whether charts are refined by more than the settings ask for.
+    is_smoothed_more: bool,
+    /// Whether charts that no update changed show TexInit's texels from the next one on.
+    is_begun_anew: bool,
     /// `None` where poses are taken as they are.
     poses: Option<StreamPoses>,
     photos: SmallPhotos,
@@ -132,7 +142,8 @@ impl StreamPainter {
     /// # Errors
     /// [`ImageError`] when an image does not decode.
     pub fn decode(&self, keyframe: &Keyframe) -> Result<Arc<DecodedFrame>, ImageError> {
-        let recorded = |keyframe: &Keyframe| self.store.decode(keyframe);
+        let store = &self.store;
+        let recorded = |keyframe: &Keyframe| store.decode(keyframe);
         match &self.kept {
             Some(kept) => CorrectedFrames::new(&recorded, &kept.gains, 0).decode(keyframe),
             None => recorded(keyframe),
@@ -163,29 +174,24 @@ impl StreamPainter {
         let clock = StageClock::new(progress);
         clock.begin("weld the mesh", 0);
         let mut kept = self.kept_for(params)?;
-        let following = PipelineParams {
-            stream_mode: super::StreamMode::Changes,
-            ..params.clone()
-        };
-        let memory = memory_plan(&capture, &following).with_pages(kept.num_texels(), &following);
-        let usable = |num_bytes: u64| usize::try_from(num_bytes).unwrap_or(usize::MAX);
-        let decode_cache = usable(memory.decode_cache);
+        let decode_cache = kept.divide_memory(&capture, params);
         self.store.set_decode_cache_bytes(decode_cache);
-        kept.state.set_view_bytes(usable(memory.kept_views));
         let mesh = kept.prepared_mesh(&capture, params)?;
         let keyframes = match &mut kept.poses {
             Some(poses) => poses.keep_up(&capture.keyframes),
             None => capture.keyframes.clone(),
         };
-        let recorded = |keyframe: &Keyframe| self.store.decode(keyframe);
+        let store = &self.store;
+        let recorded = |keyframe: &Keyframe| store.decode(keyframe);
         if params.refine.has_gain {
             clock.begin("balance exposure", 0);
             stream_gains::keep_up(&mut kept.gains, &keyframes, &recorded, &params.refine);
         }
-        let corrected = refine::corrected(&recorded, &kept.gains, &params.refine);
+        let gains = std::mem::take(&mut kept.gains);
+        let corrected = refine::corrected(&recorded, &gains, &params.refine);
         let decode = |keyframe: &Keyframe| corrected.decode(keyframe);
-        let update = kept.state.update(&mesh, &keyframes, &decode, &clock)?;
-        kept.note(&update);
+        let update = kept.update(&mesh, &keyframes, &decode, &clock)?;
+        kept.gains = gains;
         let present = |id| keyframes.binary_search_by_key(&id, |keyframe| keyframe.id);
         kept.photos.retain(|id| present(id).is_ok());
         kept.capture = Some(capture.clone());
@@ -204,16 +210,19 @@ impl StreamPainter {
         if let Some(kept) = self.kept.take().filter(|kept| kept.is_for(params)) {
             return Ok(kept);
         }
-        let seams = &params.refine.seams;
         Ok(Kept {
             state: StreamInit::new(&params.texinit, &params.stream)?,
             texinit: params.texinit.clone(),
             stream: params.stream.clone(),
             refine: params.refine.clone(),
+            texsmooth: params.texsmooth.clone(),
             gains: GainTable::default(),
             weld: (params.weld_tolerance_m, params.num_subdivisions),
             capture: None,
-            refined: (seams.has_global || seams.has_local).then(Refined::default),
+            refined: Refined::new(Wanted::by(&params.refine, &params.texsmooth)),
+            smoothing: StreamSmoothing::default(),
+            is_smoothed_more: false,
+            is_begun_anew: false,
             poses: params.refine.has_pose.then(StreamPoses::default),
             photos: SmallPhotos::default(),
             prepared: None,
@@ -228,6 +237,7 @@ impl Kept {
         self.texinit == params.texinit
             && self.stream == params.stream
             && self.refine == params.refine
+            && self.texsmooth == params.texsmooth
             && self.weld == (params.weld_tolerance_m, params.num_subdivisions)
     }
 
@@ -238,12 +248,44 @@ impl Kept {
         (pages.len() + 1) * of_page
     }
 
-    /// Takes over what the state changed.
-    fn note(&mut self, update: &StreamUpdate) {
+    /// Gives the state its share of the memory; how many bytes of decoded images leave room for it.
+    fn divide_memory(&mut self, capture: &Capture, params: &PipelineParams) -> usize {
+        let mut following = PipelineParams {
+            stream_mode: StreamMode::Changes,
+            ..params.clone()
+        };
+        if let Some(refined) = &self.refined {
+            let num_steps = &mut following.texsmooth.num_steps;
+            *num_steps = refined.most_steps().max(*num_steps);
+        }
+        let memory = memory_plan(capture, &following).with_pages(self.num_texels(), &following);
+        let usable = |num_bytes: u64| usize::try_from(num_bytes).unwrap_or(usize::MAX);
+        self.state.set_view_bytes(usable(memory.kept_views));
+        usable(memory.decode_cache)
+    }
+
+    /// Brings the state up to what there is, and what is shown with it.
+    fn update(
+        &mut self,
+        mesh: &Arc<TriMesh>,
+        keyframes: &[Arc<Keyframe>],
+        decode: &Decode<'_>,
+        clock: &StageClock<'_>,
+    ) -> Result<StreamUpdate, PipelineError> {
+        let mut changed = match &mut self.refined {
+            Some(refined) => self.smoothing.end(refined)?,
+            None => Vec::new(),
+        };
+        let mut update = self.state.update(mesh, keyframes, decode, clock)?;
         self.num_waiting = update.num_frames_waiting;
         if let Some(refined) = &mut self.refined {
-            refined.follow(&self.state, update);
+            refined.follow(&self.state, &update);
         }
+        if std::mem::take(&mut self.is_begun_anew) {
+            changed = self.state.chart_ids().collect();
+        }
+        tell(&self.state, &changed, &mut update);
+        Ok(update)
     }
 
     /// Recorded keyframes as they paint.
@@ -277,8 +319,21 @@ impl Kept {
 }
 
 fn check(params: &PipelineParams) -> Result<(), PipelineError> {
-    if params.texsmooth.num_steps > 0 {
-        return Err(PipelineError::WholeScanOnly("texsmooth.iterations"));
+    let smooth = &params.texsmooth;
+    if smooth.num_steps == 0 {
+        return Ok(());
     }
-    Ok(())
+    let is_whole = [
+        ("texsmooth.start:=blank", smooth.start == SmoothStart::Blank),
+        ("texsmooth.time_budget_s", smooth.time_budget_s > 0.0),
+        (
+            "texsmooth.checkpoint_interval",
+            smooth.checkpoint_interval > 0,
+        ),
+        ("a checkpoint", params.smooth_from.is_some()),
+    ];
+    match is_whole.into_iter().find(|(_, is_whole)| *is_whole) {
+        Some((what, _)) => Err(PipelineError::WholeScanOnly(what)),
+        None => Ok(()),
+    }
 }

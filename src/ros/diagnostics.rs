@@ -526,6 +526,7 @@ fn process(seen: &Observation<'_>) -> Finding {
         value("memory budget", plan.budget),
         value("memory for images", plan.keyframes),
         value("memory for images with gain", plan.corrected),
+        value("memory for the optimisation", plan.smoothing),
         value("memory for kept depths", plan.kept_views),
         value("memory for decoded images", plan.decode_cache),
         value("memory for the atlas", plan.atlas),

@@ -77,11 +77,13 @@ fn a_replay_that_follows_changes_gives_the_same_bytes_and_says_what_it_did() {
         out.to_str().unwrap(),
         "-p",
         "texsmooth.iterations:=3",
+        "-p",
+        "texsmooth.start:=blank",
     ]);
     let refused = veneer(&[&args[..], &follow].concat());
     assert!(!refused.status.success());
     assert!(
-        said(&refused).contains("texsmooth.iterations"),
+        said(&refused).contains("texsmooth.start:=blank"),
         "{}",
         said(&refused)
     );
@@ -98,6 +100,10 @@ fn refinement_in_idle_time_gives_the_same_bytes() {
         "photometric.local_seams:=true",
         "photometric.pose:=true",
         "stream.idle_keyframes:=3",
+        "texsmooth.iterations:=12",
+        "texsmooth.crop_px:=96",
+        "stream.idle_steps:=3",
+        "stream.idle_texels:=30000",
     ];
     let settings: Vec<&str> = settings.iter().flat_map(|s| ["-p", *s]).collect();
     let run = |name: &str, threads| {

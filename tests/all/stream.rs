@@ -1,5 +1,7 @@
 //! A bag painted as it comes: after every update the texture is that of the whole at once.
 
+mod smoothed;
+
 use std::path::Path;
 
 use veneer::atlas::{AtlasTexture, TexelRect};
@@ -91,11 +93,17 @@ fn what_works_on_the_whole_texture_is_refused() {
     let dir = tempfile::tempdir().unwrap();
     let mut params = Config::default().pipeline;
     params.texsmooth.num_steps = 3;
+    let follows = params.clone().for_live();
+    assert!(follows.0.follows_changes() && follows.1.is_none());
+    params.texsmooth.time_budget_s = 5.0;
+    let (whole, why) = params.clone().for_live();
+    assert!(!whole.follows_changes());
+    assert!(why.unwrap().contains("texsmooth.time_budget_s"));
     let mut source = grown_tabletop(dir.path());
     let refused = stream(&mut source, &params, 0.0, &NoProgress, &mut |_, _| ());
     assert!(matches!(
         refused.err(),
-        Some(PipelineError::WholeScanOnly("texsmooth.iterations"))
+        Some(PipelineError::WholeScanOnly("texsmooth.time_budget_s"))
     ));
 }
 

@@ -21,6 +21,24 @@ pub fn stream(
     progress: &dyn Progress,
     see: &mut dyn FnMut(&StreamPainter, &Streamed),
 ) -> Result<StreamPainter, PipelineError> {
+    let mut painter = painted_to_the_end(source, params, period_s, progress, see)?;
+    while let Some(step) = painter.refine_some(params, progress)? {
+        see(&painter, &step);
+    }
+    Ok(painter)
+}
+
+/// [`stream()`] without the idle steps at the end.
+///
+/// # Errors
+/// As [`stream()`].
+pub(super) fn painted_to_the_end(
+    source: &mut dyn EventSource,
+    params: &PipelineParams,
+    period_s: f64,
+    progress: &dyn Progress,
+    see: &mut dyn FnMut(&StreamPainter, &Streamed),
+) -> Result<StreamPainter, PipelineError> {
     let mut driver = Driver {
         scan: LiveScan::new(params, source.topics(), 0),
         painter: StreamPainter::new(&params.keyframe),
@@ -57,7 +75,6 @@ pub fn stream(
     while driver.painter.num_waiting() > 0 {
         driver.paint()?;
     }
-    while driver.refine()? {}
     match driver.painted {
         Some(_) => Ok(driver.painter),
         None if driver.scan.capture().mesh.is_none() => {

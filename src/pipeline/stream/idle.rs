@@ -4,9 +4,8 @@
 //! 1. Poses ([`super::poses`]): a few keyframes are measured and turned; the next update of the state
 //!    redoes what depends on them, as for any late correction of a pose.
 //! 2. Seams ([`super::refined`]), once no keyframe waits: a correction would undo what was levelled.
-//!
-//! What other refinement can be done on some charts at a time belongs after the seams, as a further
-//! part of [`StreamPainter::refine_some`].
+//! 3. Steps of the optimisation ([`super::smoothed`]), once no chart waits to be levelled: levelling starts
+//!    from TexInit's texels.
 
 use std::sync::Arc;
 
@@ -14,11 +13,14 @@ use super::super::clock::StageClock;
 use super::super::progress::Progress;
 use super::super::refine::{self, SEAM_PHOTO_WIDTH_PX};
 use super::super::run::{PipelineError, PipelineParams};
+use super::refined::{Refined, Wanted, tell};
+use super::smoothed::StreamSmoothing;
 use super::{Kept, StreamPainter, Streamed};
 use crate::keyframe::{Keyframe, KeyframeStore};
 use crate::photometric::{PhotometricError, SeamPhoto};
 use crate::texinit::Decode;
-use crate::texinit::stream::{StreamInit, StreamUpdate};
+use crate::texinit::stream::{StreamChartId, StreamInit, StreamUpdate};
+use crate::texsmooth::SmoothScene;
 
 /// What a change makes be painted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -71,6 +73,11 @@ pub struct IdleParams {
     pub max_keyframes: usize,
     /// Triangles that a step levels; at least one chart, whatever its size.
     pub max_triangles: usize,
+    /// Steps of the optimisation that it makes, ≥ 1.
+    pub max_steps: usize,
+    /// Texels that the optimisation works on at a time, over several steps; at least one chart, whatever
+    /// its size.
+    pub max_texels: usize,
 }
 
 impl Default for IdleParams {
@@ -78,6 +85,8 @@ impl Default for IdleParams {
         Self {
             max_keyframes: 4,
             max_triangles: 20_000,
+            max_steps: 2,
+            max_texels: 500_000,
         }
     }
 }
@@ -86,7 +95,7 @@ impl StreamPainter {
     /// Charts that wait to be refined.
     pub fn num_charts_waiting(&self) -> usize {
         let refined = self.kept.as_ref().and_then(|kept| kept.refined.as_ref());
-        refined.map_or(0, super::refined::Refined::num_waiting)
+        refined.map_or(0, Refined::num_waiting)
     }
 
     /// Keyframes whose pose waits to be measured.
@@ -98,6 +107,40 @@ impl StreamPainter {
     /// Whether [`Self::refine_some`] has something to do.
     pub fn has_idle_work(&self) -> bool {
         self.num_waiting() == 0 && (self.num_charts_waiting() > 0 || self.num_poses_waiting() > 0)
+    }
+
+    /// All charts of what is painted wait for `num_steps` steps of the optimisation, of which each group
+    /// makes its share, or for more where they wait for more; `params` are those it was painted with.
+    /// What changes later goes by the settings again.
+    pub fn smooth_all(&mut self, num_steps: usize, params: &PipelineParams) {
+        let Some(kept) = &mut self.kept else {
+            return;
+        };
+        let refined = kept.refined.get_or_insert_with(Refined::default);
+        refined.follow(&kept.state, &StreamUpdate::default());
+        refined.ask_for_steps(num_steps);
+        kept.is_smoothed_more = true;
+        if let Some(capture) = kept.capture.clone() {
+            let decode_cache = kept.divide_memory(&capture, params);
+            self.store.set_decode_cache_bytes(decode_cache);
+        }
+    }
+
+    /// With the next painting all charts go by the settings again, where [`Self::smooth_all`] asked for
+    /// more.
+    pub fn take_back_smooth_all(&mut self) {
+        if let Some(kept) = &mut self.kept
+            && kept.is_smoothed_more
+        {
+            kept.begin_refining_anew();
+        }
+    }
+
+    /// With the next painting all charts show TexInit's texels, and wait.
+    pub(super) fn begin_refining_anew(&mut self) {
+        if let Some(kept) = &mut self.kept {
+            kept.begin_refining_anew();
+        }
     }
 
     /// One idle step: bounded by [`IdleParams`]. `None` when there is nothing to refine, and where
@@ -136,6 +179,12 @@ impl StreamPainter {
 }
 
 impl Kept {
+    fn begin_refining_anew(&mut self) {
+        self.refined = Refined::new(Wanted::by(&self.refine, &self.texsmooth));
+        self.smoothing = StreamSmoothing::default();
+        (self.is_smoothed_more, self.is_begun_anew) = (false, true);
+    }
+
     fn refine_some(
         &mut self,
         store: &KeyframeStore,
@@ -147,10 +196,13 @@ impl Kept {
         let corrected = refine::corrected(&recorded, &gains, &params.refine);
         let decode = |keyframe: &Keyframe| corrected.decode(keyframe);
         let is_pose = self.poses.as_ref().is_some_and(|p| p.num_waiting() > 0);
+        let is_seam = self.refined.as_ref().is_some_and(Refined::has_unlevelled);
         let update = if is_pose {
             self.turn_some(&decode, params, clock)
-        } else {
+        } else if is_seam {
             self.level_some(&decode, params, clock)
+        } else {
+            self.smooth_some(&decode, params, clock)
         };
         self.gains = gains;
         update
@@ -179,9 +231,7 @@ impl Kept {
         }
         let keyframes: Vec<Arc<Keyframe>> = poses.painting().collect();
         let mesh = Arc::clone(mesh);
-        let update = self.state.update(&mesh, &keyframes, decode, clock)?;
-        self.note(&update);
-        Ok(update)
+        self.update(&mesh, &keyframes, decode, clock)
     }
 
     fn level_some(
@@ -230,5 +280,34 @@ impl Kept {
             params.texinit.has_gutters,
         );
         Ok(levelled?.map(|(update, _)| update).unwrap_or_default())
+    }
+
+    fn smooth_some(
+        &mut self,
+        decode: &Decode<'_>,
+        params: &PipelineParams,
+        clock: &StageClock<'_>,
+    ) -> Result<StreamUpdate, PipelineError> {
+        let Some(capture) = &self.capture else {
+            return Ok(StreamUpdate::default());
+        };
+        let keyframes = self.painting(&capture.keyframes);
+        let Some(refined) = &mut self.refined else {
+            return Ok(StreamUpdate::default());
+        };
+        clock.begin("refine the texture", params.idle.max_steps);
+        let scene = SmoothScene {
+            mesh: self.state.mesh(),
+            layout: self.state.layout(),
+            frames: &keyframes,
+            decode,
+        };
+        let ids: Vec<StreamChartId> = self.state.chart_ids().collect();
+        let (settings, idle) = (&params.texsmooth, &params.idle);
+        let smoothing = &mut self.smoothing;
+        let changed = smoothing.smooth_some(&scene, &ids, refined, settings, idle, clock)?;
+        let mut update = StreamUpdate::default();
+        tell(&self.state, &changed, &mut update);
+        Ok(update)
     }
 }

@@ -1,8 +1,10 @@
-//! The texture that is shown where seams are levelled: TexInit's, with levelled charts over it.
+//! The texture that is shown where charts are refined: TexInit's, with refined charts over it.
 //!
-//! A chart that is new or changed shows TexInit's texels again and waits; idle steps level what waits,
+//! A chart that is new or changed shows TexInit's texels again and waits: to be levelled, where that is
+//! asked for, then for steps of the optimisation ([`super::smoothed`]). Idle steps level what waits,
 //! a bounded number of triangles at a time, beside what stands. What levelling added to triangles is
-//! kept, so that those beside them can be levelled later as if all had been at once.
+//! kept, so that those beside them can be levelled later as if all had been at once. It goes by the
+//! photos, not by what stands in the texture, so that charts that are smooth already do not matter to it.
 //!
 //! Memory: 8 bytes per texel of the pages, and some 100 per triangle that levelling changed.
 
@@ -14,11 +16,22 @@ use crate::mesh::TriangleId;
 use crate::photometric::{
     Levelled, PhotometricError, SeamParams, SeamPatch, SeamPhoto, SeamReport, Standing,
 };
+use crate::pipeline::RefineParams;
 use crate::texinit::stream::{StreamChartId, StreamInit, StreamUpdate};
+use crate::texsmooth::TexSmoothParams;
+
+/// What a chart waits for that is new or changed.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Wanted {
+    pub(super) has_seams: bool,
+    /// Steps of the optimisation; see [`RefinedChart::num_steps`].
+    pub(super) num_steps: usize,
+}
 
 /// See the module.
 #[derive(Debug, Default)]
 pub(super) struct Refined {
+    wanted: Wanted,
     texture: AtlasTexture,
     charts: BTreeMap<StreamChartId, RefinedChart>,
 }
@@ -28,11 +41,34 @@ pub(super) struct Refined {
 struct RefinedChart {
     /// Where it lies; without its triangles.
     place: PlacedChart,
-    /// What was added to its triangles, by their number in the chart, ascending; `None` while it waits.
+    /// What was added to its triangles, by their number in the chart, ascending; `None` while it waits
+    /// for that.
     levelled: Option<Vec<(u32, Levelled)>>,
+    /// Steps of the optimisation that it waits for, as many as all charts together would make; of these
+    /// it makes its share.
+    num_steps: usize,
+}
+
+impl Wanted {
+    /// What the settings ask for.
+    pub(super) fn by(refine: &RefineParams, smooth: &TexSmoothParams) -> Self {
+        Self {
+            has_seams: refine.seams.has_global || refine.seams.has_local,
+            num_steps: smooth.num_steps,
+        }
+    }
 }
 
 impl Refined {
+    /// Without charts so far; `None` where nothing is wanted.
+    pub(super) fn new(wanted: Wanted) -> Option<Self> {
+        let is_wanted = wanted.has_seams || wanted.num_steps > 0;
+        is_wanted.then(|| Self {
+            wanted,
+            ..Self::default()
+        })
+    }
+
     /// The pages.
     pub(super) fn texture(&self) -> &AtlasTexture {
         &self.texture
@@ -43,10 +79,53 @@ impl Refined {
         self.texture
     }
 
-    /// Charts that wait.
+    /// Charts that wait, for whatever it is.
     pub(super) fn num_waiting(&self) -> usize {
         let charts = self.charts.values();
-        charts.filter(|chart| chart.levelled.is_none()).count()
+        let waits = |chart: &&RefinedChart| chart.levelled.is_none() || chart.num_steps > 0;
+        charts.filter(waits).count()
+    }
+
+    /// Whether a chart waits to be levelled.
+    pub(super) fn has_unlevelled(&self) -> bool {
+        self.charts.values().any(|chart| chart.levelled.is_none())
+    }
+
+    /// The most steps that a chart waits for.
+    pub(super) fn most_steps(&self) -> usize {
+        let charts = self.charts.values();
+        charts.map(|chart| chart.num_steps).max().unwrap_or(0)
+    }
+
+    /// Steps that a chart waits for, and the texels that it owns.
+    pub(super) fn steps_and_texels(&self, id: StreamChartId) -> (usize, u64) {
+        let chart = self.charts.get(&id);
+        chart.map_or((0, 0), |chart| (chart.num_steps, num_texels(&chart.place)))
+    }
+
+    /// Texels that charts own.
+    pub(super) fn num_texels(&self) -> u64 {
+        let charts = self.charts.values();
+        charts.map(|chart| num_texels(&chart.place)).sum()
+    }
+
+    /// All charts wait for so many steps, or for more.
+    pub(super) fn ask_for_steps(&mut self, num_steps: usize) {
+        for chart in self.charts.values_mut() {
+            chart.num_steps = chart.num_steps.max(num_steps);
+        }
+    }
+
+    /// A chart has made so many of the steps that it waits for.
+    pub(super) fn note_steps(&mut self, id: StreamChartId, num_made: usize) {
+        if let Some(chart) = self.charts.get_mut(&id) {
+            chart.num_steps = chart.num_steps.saturating_sub(num_made);
+        }
+    }
+
+    /// The pages, of which charts that wait for steps may be written.
+    pub(super) fn texture_mut(&mut self) -> &mut AtlasTexture {
+        &mut self.texture
     }
 
     /// Takes over what an update changed; those charts wait from now on.
@@ -77,7 +156,7 @@ impl Refined {
             }
         }
         for (id, placed) in ids.iter().zip(&state.layout().charts) {
-            if is_other(id) {
+            if !self.charts.contains_key(id) {
                 copy(base, &mut self.texture, placed);
                 let place = PlacedChart {
                     triangles: Vec::new(),
@@ -86,7 +165,8 @@ impl Refined {
                 };
                 let waiting = RefinedChart {
                     place,
-                    levelled: None,
+                    levelled: (!self.wanted.has_seams).then(Vec::new),
+                    num_steps: self.wanted.num_steps,
                 };
                 self.charts.insert(*id, waiting);
             }
@@ -100,7 +180,7 @@ impl Refined {
         own.len() <= base.len() && own.zip(base).all(|(own, base)| size(own) == size(base))
     }
 
-    /// Levels charts that wait, those first that are there longest, until one more would make it more
+    /// Levels charts that wait for it, those first that are there longest, until one more would make it more
     /// than `max_triangles`, but at least one; `photos_of` gives the photos of keyframes by number.
     /// `None` when none waits.
     ///
@@ -187,6 +267,27 @@ impl Refined {
 /// Charts have their triangles in a row.
 fn first_triangle(placed: &PlacedChart) -> u32 {
     placed.triangles.first().map_or(0, |triangle| triangle.0)
+}
+
+/// Adds to an update that charts (ascending) show other texels, as far as they are there and it does not
+/// tell of them anyway.
+pub(super) fn tell(state: &StreamInit, ids: &[StreamChartId], update: &mut StreamUpdate) {
+    let lists = [&update.new_charts, &update.changed_charts];
+    let is_told = |id: &StreamChartId| lists.iter().any(|list| list.binary_search(id).is_ok());
+    let untold: Vec<(StreamChartId, &PlacedChart)> = state
+        .chart_ids()
+        .zip(&state.layout().charts)
+        .filter(|(id, _)| ids.binary_search(id).is_ok() && !is_told(id))
+        .collect();
+    for (id, placed) in untold {
+        update.changed_charts.push(id);
+        update.dirty_rects.push((placed.page, placed.rect));
+    }
+    update.changed_charts.sort_unstable();
+}
+
+fn num_texels(placed: &PlacedChart) -> u64 {
+    placed.own_spans().map(|(_, _, len)| u64::from(len)).sum()
 }
 
 /// Copies the texels that a chart owns from one texture to another of the same pages.

@@ -7,7 +7,8 @@ use super::super::live::{Capture, memory_plan};
 use super::super::progress::Progress;
 use super::super::refine::RefineReport;
 use super::super::run::{PipelineError, PipelineParams, Run, StageTime};
-use super::{Streamed, stream};
+use super::driver::painted_to_the_end;
+use super::{StreamPainter, Streamed};
 use crate::atlas::AtlasTexture;
 use crate::ingest::EventSource;
 use crate::keyframe::Keyframe;
@@ -55,8 +56,9 @@ impl UpdateSummary {
 
 /// [`super::super::run()`] with a texture that is kept up: painted whenever `period_s` of the
 /// stream's time went by with something new, and refined as long as there is something to refine.
-/// Keyframes that judge the result paint until the stream
-/// ends; then they are taken out.
+/// Keyframes that judge the result paint until the stream ends; then they are taken out, and where the
+/// optimisation saw them what is shown is refined anew: it learns from all photos of a chart, not only
+/// from those that paint it.
 ///
 /// # Errors
 /// [`PipelineError`], as [`super::super::run()`]; and for settings that cannot follow changes.
@@ -74,10 +76,11 @@ pub fn run_streamed(
         updates.add(streamed);
         add_times(&mut stages, &streamed.stages);
     };
-    let mut painter = stream(source, params, period_s, progress, &mut |_, streamed| {
+    let mut note = |_: &StreamPainter, streamed: &Streamed| {
         see(streamed);
         last = Some(streamed.capture.clone());
-    })?;
+    };
+    let mut painter = painted_to_the_end(source, params, period_s, progress, &mut note)?;
     let Some(mut capture) = last else {
         return Err(PipelineError::NoMesh("none has arrived".to_owned()));
     };
@@ -85,6 +88,9 @@ pub fn run_streamed(
     let keyframes = std::mem::take(&mut capture.keyframes);
     let (painting, judging) = held_out::split(keyframes, &params.held_out);
     capture.keyframes = painting;
+    if !judging.is_empty() && params.texsmooth.num_steps > 0 {
+        painter.begin_refining_anew();
+    }
     let mut streamed = painter.paint(capture, params, progress)?;
     see(&streamed);
     while let Some(step) = painter.refine_some(params, progress)? {

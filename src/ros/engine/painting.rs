@@ -64,13 +64,13 @@ impl PaintThread<'_> {
             return;
         };
         self.is_quiet = false;
-        let is_forced = shared.retexture.swap(false, Ordering::Relaxed) || has_waiting;
-        if self.painted_revision != Some(capture.revision) || is_forced {
-            self.paint(capture, config);
+        let is_asked_for = shared.retexture.swap(false, Ordering::Relaxed);
+        if self.painted_revision != Some(capture.revision) || is_asked_for || has_waiting {
+            self.paint(capture, config, is_asked_for);
         }
     }
 
-    fn paint(&mut self, capture: Capture, config: &Config) {
+    fn paint(&mut self, capture: Capture, config: &Config, is_asked_for: bool) {
         let shared = self.shared;
         self.begun = Some(Instant::now());
         self.refinable = None;
@@ -78,12 +78,19 @@ impl PaintThread<'_> {
         self.painted_revision = Some(capture.revision);
         lock(&shared.paint_status).is_painting = true;
         let mut params = live_params(config);
-        if shared.refine.swap(false, Ordering::Relaxed) {
-            params.texsmooth.num_steps = params.texsmooth.num_steps.max(config.node.refine_steps);
-            // The optimisation works on the whole texture.
+        let is_refined = shared.refine.swap(false, Ordering::Relaxed);
+        let num_steps = params.texsmooth.num_steps.max(config.node.refine_steps);
+        let can_follow = can_follow(&params, num_steps);
+        if is_refined && !can_follow {
+            params.texsmooth.num_steps = num_steps;
             params.stream_mode = StreamMode::Whole;
+        } else if is_asked_for && !is_refined {
+            self.painter.take_back_smooth_all();
         }
         let result = self.painter.paint(capture, &params, &NoProgress);
+        if is_refined && can_follow && result.is_ok() {
+            self.painter.smooth_all(num_steps, &params);
+        }
         if let Ok(painted) = &result
             && let Some(update) = &painted.update
         {
@@ -157,6 +164,13 @@ impl PaintThread<'_> {
 /// The settings for a scan that goes on.
 fn live_params(config: &Config) -> PipelineParams {
     config.pipeline.clone().for_live().0
+}
+
+/// Whether so many steps of the optimisation can be made of what changes.
+fn can_follow(params: &PipelineParams, num_steps: usize) -> bool {
+    let mut refined = params.clone();
+    refined.texsmooth.num_steps = num_steps;
+    refined.follows_changes() && refined.whole_scan_only().is_none()
 }
 
 fn note(status: &mut PaintStatus, painted: &Painted) {

@@ -1,5 +1,6 @@
 //! A refinement that is done in pieces, of all charts or of some.
 
+use std::fmt;
 use std::ops::Range;
 use std::sync::Arc;
 use std::time::Instant;
@@ -74,6 +75,8 @@ pub struct SmoothScene<'a> {
 /// * Between two calls nothing of the scene may change but the decoder, and of the texture no texel of
 ///   the charts; when the scan has gone on, begin anew. That is cheap: the views are drawn one by one
 ///   as steps ask for them.
+/// * Steps are made on texels of its own. Where the texture is not to show them one by one, make them
+///   with [`Self::make_steps`], and write what they came to by [`Self::write_to`].
 pub struct Smoothing {
     params: TexSmoothParams,
     /// Per chart; `None` where all may.
@@ -88,6 +91,14 @@ pub struct Smoothing {
     focus: Option<Focus>,
     means: RunningMeans,
     report: SmoothReport,
+}
+
+impl fmt::Debug for Smoothing {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let mut told = formatter.debug_struct("Smoothing");
+        told.field("num_steps", &self.report.num_steps)
+            .finish_non_exhaustive()
+    }
 }
 
 /// Enough of a scene to tell most others from it.
@@ -253,8 +264,35 @@ impl Smoothing {
         max_steps: usize,
         observer: &dyn Observer,
     ) -> Result<(), SmoothError> {
+        self.make_steps(scene, texture, max_steps, observer)?;
+        self.write_to(texture);
+        Ok(())
+    }
+
+    /// [`Self::advance`] without writing to the texture.
+    ///
+    /// # Errors
+    /// As [`Self::advance`].
+    pub fn make_steps(
+        &mut self,
+        scene: &SmoothScene<'_>,
+        texture: &AtlasTexture,
+        max_steps: usize,
+        observer: &dyn Observer,
+    ) -> Result<(), SmoothError> {
         self.scene.check(&SceneMark::of(scene, texture)?)?;
         self.run(scene, texture, max_steps, 0.0, observer)
+    }
+
+    /// Writes to the texture that the refinement was begun on what steps changed since it was written
+    /// last.
+    pub fn write_to(&mut self, texture: &mut AtlasTexture) {
+        self.texels.write_back(texture);
+    }
+
+    /// Steps done.
+    pub fn num_done(&self) -> usize {
+        self.report.num_steps
     }
 
     /// Makes all steps; the time budget is that of the whole refinement.
@@ -265,13 +303,15 @@ impl Smoothing {
         observer: &dyn Observer,
     ) -> Result<(), SmoothError> {
         let passed_s = self.report.seconds;
-        self.run(scene, texture, usize::MAX, passed_s, observer)
+        self.run(scene, texture, usize::MAX, passed_s, observer)?;
+        self.write_to(texture);
+        Ok(())
     }
 
     fn run(
         &mut self,
         scene: &SmoothScene<'_>,
-        texture: &mut AtlasTexture,
+        texture: &AtlasTexture,
         max_steps: usize,
         passed_s: f64,
         observer: &dyn Observer,
@@ -285,7 +325,7 @@ impl Smoothing {
         let on = Surface {
             mesh: scene.mesh,
             layout: scene.layout,
-            texture: &*texture,
+            texture,
             may_change: self.may_change.as_deref(),
         };
         let mut run = Optimisation {
@@ -307,7 +347,6 @@ impl Smoothing {
             report: &mut self.report,
         };
         run.steps(num_done..end, &is_late, &mut self.means, observer)?;
-        self.texels.write_back(texture);
         self.report.seconds += begun.elapsed().as_secs_f64();
         Ok(())
     }

@@ -200,7 +200,8 @@ fn refine_changes_the_texture_of_a_live_scan() {
         let done = live.rig.call(service, "std_srvs/srv/Trigger", "{}");
         assert_eq!(done["success"], true, "{done}");
         wait_until(&live.rig, "painted again", |seen| {
-            is_settled(seen) && seen.number("painting", "paintings") > before
+            let is_refined = seen.number("painting", "charts to refine") == 0;
+            is_settled(seen) && is_refined && seen.number("painting", "paintings") > before
         })
     };
     let refined = again("/veneer/refine");
