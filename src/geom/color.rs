@@ -121,13 +121,13 @@ mod tests {
             let bits = least.to_bits();
             (bits.saturating_sub(3)..bits + 3).for_each(|bits| check(f32::from_bits(bits)));
         }
-        [
+        let edges = [
             -1.0,
             -0.0,
             f32::MIN_POSITIVE,
             f32::INFINITY,
             f32::NEG_INFINITY,
-        ]
-        .map(check);
+        ];
+        edges.into_iter().for_each(check);
     }
 }

@@ -116,6 +116,19 @@ pub struct DiffCounts {
     pub num_gone: usize,
 }
 
+impl DiffCounts {
+    /// Whether all triangles are as they were.
+    pub fn is_same(&self) -> bool {
+        let others = [
+            self.num_moved,
+            self.num_changed,
+            self.num_new,
+            self.num_gone,
+        ];
+        others == [0; 4]
+    }
+}
+
 impl MeshDiff {
     /// How many triangles are what.
     pub fn counts(&self) -> DiffCounts {

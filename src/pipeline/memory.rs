@@ -4,7 +4,7 @@
 //! |---|---|
 //! | the process itself | reserved |
 //! | encoded images | a share of the budget: the most redundant keyframe goes |
-//! | atlas | a share of the budget: the density of texels is lowered |
+//! | atlas | a share of the budget, less what the optimisation works on: the density of texels is lowered |
 //! | mesh, score tables | as large as mesh and frames make them; reserved |
 //! | images with their gain | 3 % of the budget |
 //! | what the optimisation works on | reserved, while painting follows changes; texels and views of the mesh are 5 % of the budget each at most |
@@ -61,6 +61,8 @@ const PROCESS_BYTES: u64 = 60_000_000;
 const KEYFRAME_SHARE: f64 = 0.25;
 /// The atlas may have this share of it.
 const ATLAS_SHARE: f64 = 0.5;
+/// It has at least this share, whatever else there is.
+const LEAST_ATLAS_SHARE: f64 = 0.15;
 /// Images with their gain may have this share of it.
 const CORRECTED_SHARE: f64 = 0.03;
 /// Scratch memory of those who paint what changed, kept from update to update.
@@ -88,17 +90,18 @@ impl MemoryParams {
         self.budget_mb * 1e6
     }
 
+    /// What the atlas may have: the optimisation of what changed takes its part off that.
+    fn atlas_bytes(&self, params: &PipelineParams) -> f64 {
+        let share = ATLAS_SHARE * self.budget_bytes() - smoothing_bytes(params) as f64;
+        share.max(LEAST_ATLAS_SHARE * self.budget_bytes())
+    }
+
     /// The settings with the limits of images and atlas lowered to their shares.
     pub fn applied_to(&self, params: &PipelineParams) -> PipelineParams {
         let mut params = params.clone();
         if self.budget_mb > 0.0 {
             let keyframe = &mut params.keyframe;
             keyframe.budget_mb = keyframe.budget_mb.min(KEYFRAME_SHARE * self.budget_mb);
-            let max_texels = bytes(ATLAS_SHARE * self.budget_bytes() / texel_bytes(&params));
-            let pack = &mut params.texinit.pack;
-            pack.max_texels = pack.max_texels.min(max_texels);
-            let corrected_mb = CORRECTED_SHARE * self.budget_mb;
-            params.refine.cache_mb = params.refine.cache_mb.min(corrected_mb);
             if params.follows_changes() {
                 let share_bytes = SMOOTH_SHARE * self.budget_bytes();
                 let view_cache_mb = &mut params.texsmooth.view_cache_mb;
@@ -107,6 +110,11 @@ impl MemoryParams {
                 let max_texels = &mut params.idle.max_texels;
                 *max_texels = usize::try_from(most).map_or(*max_texels, |n| n.min(*max_texels));
             }
+            let max_texels = bytes(self.atlas_bytes(&params) / texel_bytes(&params));
+            let pack = &mut params.texinit.pack;
+            pack.max_texels = pack.max_texels.min(max_texels);
+            let corrected_mb = CORRECTED_SHARE * self.budget_mb;
+            params.refine.cache_mb = params.refine.cache_mb.min(corrected_mb);
         }
         params
     }

@@ -91,6 +91,8 @@ pub struct StreamParams {
     /// New keyframes that see little unpainted surface wait until there are so many, for at most as many
     /// updates; 1 for none to wait.
     pub batch_frames: usize,
+    /// A keyframe does not wait where more than this share of the triangles in its view is unpainted, [0, 1].
+    pub urgent_share: f64,
 }
 
 impl Default for StreamParams {
@@ -104,6 +106,7 @@ impl Default for StreamParams {
             min_used_share: 0.5,
             max_new_frames: 32,
             batch_frames: 4,
+            urgent_share: 0.1,
             view_cache_mb: 256.0,
         }
     }
@@ -287,7 +290,7 @@ impl StreamInit {
         self.compact(&mut change, &mut update);
         self.lay_out(&mut change);
 
-        let (frames, num_waiting) = self.taken_in(frames, change.has_other_surface());
+        let (frames, num_waiting) = self.taken_in(frames, !update.mesh.is_same());
         let frames = &*frames;
         update.num_frames_waiting = num_waiting;
         observer.begin(Stage::Assign, frames.len());

@@ -42,6 +42,8 @@ fn every_update_of_a_growing_scan_equals_the_whole() {
     let dir = tempfile::tempdir().unwrap();
     let mut params = Config::default().pipeline;
     params.stream.page_size_texel = 256;
+    params.stream.hysteresis = 0.0;
+    params.stream.batch_frames = 1;
     let mut sizes = vec![];
     let mut see = |painter: &StreamPainter, streamed: &Streamed| {
         let state = painter.state().unwrap();
@@ -60,6 +62,7 @@ fn a_streamed_run_is_the_whole_on_its_charts_without_the_frames_that_judge() {
     let dir = tempfile::tempdir().unwrap();
     let mut params = Config::default().pipeline;
     params.held_out.num_views = 1;
+    params.stream.hysteresis = 0.0;
     // All but two wait at times.
     params.stream.max_new_frames = 2;
     let mut source = grown_tabletop(dir.path());

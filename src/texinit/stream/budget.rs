@@ -12,9 +12,6 @@ use super::StreamInit;
 use crate::keyframe::Keyframe;
 use crate::render::Frustum;
 
-/// A keyframe does not wait that sees more unpainted triangles than one in so many of those in its view.
-const URGENT_ONE_IN: usize = 10;
-
 /// New keyframes that wait for others.
 #[derive(Debug, Default)]
 pub(super) struct Held {
@@ -62,7 +59,7 @@ impl StreamInit {
 
     fn is_urgent(&self, frame: &Keyframe) -> bool {
         let in_view = self.in_view(frame);
-        in_view.num_unpainted * URGENT_ONE_IN > in_view.num_triangles
+        in_view.num_unpainted as f64 > self.stream.urgent_share * in_view.num_triangles as f64
     }
 
     /// As many new keyframes as an update may take in, those first that see most triangles which no frame

@@ -347,11 +347,6 @@ impl SurfaceChange {
         });
     }
 
-    /// Whether the mesh is another than before.
-    pub(super) fn has_other_surface(&self) -> bool {
-        self.has_new_order
-    }
-
     /// The mesh as it is now.
     pub(super) fn mesh(&self) -> &TriMesh {
         &self.mesh

@@ -50,18 +50,25 @@ fn stream_params() -> StreamParams {
     StreamParams {
         remake_below_triangles: 8,
         page_size_texel: 64,
+        hysteresis: 0.0,
+        batch_frames: 1,
         ..StreamParams::default()
     }
 }
 
-fn batch(state: &StreamInit, scan: &Scan, params: &TexInitParams) -> Repainted {
+fn batch(
+    state: &StreamInit,
+    scan: &Scan,
+    frames: &[Arc<Keyframe>],
+    params: &TexInitParams,
+) -> Repainted {
     let params = TexInitParams {
         coupling: Coupling::Chart,
         ..params.clone()
     };
     let decode = |keyframe: &Keyframe| scan.decode(keyframe);
     let (mesh, layout) = (state.mesh(), state.layout());
-    repaint(mesh, layout, &scan.frames(), &decode, &params, &Silent).unwrap()
+    repaint(mesh, layout, frames, &decode, &params, &Silent).unwrap()
 }
 
 fn update(state: &mut StreamInit, scan: &Scan) -> StreamUpdate {
@@ -73,10 +80,19 @@ fn update(state: &mut StreamInit, scan: &Scan) -> StreamUpdate {
 
 /// Labels and texels are those of the whole at once; no two triangles own a texel.
 fn check_equality(state: &StreamInit, scan: &Scan, params: &TexInitParams) {
+    check_equality_over(state, scan, &scan.frames(), params);
+}
+
+/// The same where not all keyframes are taken in.
+fn check_equality_over(
+    state: &StreamInit,
+    scan: &Scan,
+    frames: &[Arc<Keyframe>],
+    params: &TexInitParams,
+) {
     assert_eq!(state.mesh().num_triangles(), scan.mesh().num_triangles());
     assert_eq!(num_shared_texels(state.layout()), 0);
-    let batch = batch(state, scan, params);
-    let frames = scan.frames();
+    let batch = batch(state, scan, frames, params);
     let number = |frame: &Option<u32>| frame.map(|frame| frames[frame as usize].id.0);
     let expected: Vec<Option<u32>> = batch.assignment.label.iter().map(number).collect();
     let assignment = state.assignment();
@@ -360,6 +376,66 @@ fn keyframes_wait_their_turn_and_leave_no_trace() {
 }
 
 #[test]
+fn keyframes_that_see_little_unpainted_surface_wait_for_others() {
+    let (params, mut stream) = (texinit_params(), stream_params());
+    (stream.batch_frames, stream.urgent_share) = (3, 0.6);
+    let num_waited: usize = (600..640_u64)
+        .into_par_iter()
+        .map(|seed| {
+            let (mut scan, mut draw) = (Scan::new(seed), Draw(seed));
+            let mut state = StreamInit::new(&params, &stream).unwrap();
+            let (mut num_waited, mut num_in_a_row) = (0, 0);
+            for step in 0..8 {
+                scan.change(&mut draw);
+                let waiting = update(&mut state, &scan).num_frames_waiting;
+                let is_taken = |f: &Arc<Keyframe>| state.frames.get(f.id.0).is_some();
+                let frames = scan.frames();
+                let taken: Vec<_> = frames.iter().filter(|f| is_taken(f)).cloned().collect();
+                assert_eq!(taken.len() + waiting, frames.len());
+                assert!(waiting < 3);
+                check_equality_over(&state, &scan, &taken, &params);
+                num_in_a_row = if waiting > 0 { num_in_a_row + 1 } else { 0 };
+                assert!(num_in_a_row <= 3, "they wait for at most as many updates");
+                num_waited += waiting;
+                // Where nothing else comes they are taken in.
+                if step == 7 {
+                    let again = update(&mut state, &scan);
+                    assert_eq!(
+                        (again.num_frames_added, again.num_frames_waiting),
+                        (waiting, 0)
+                    );
+                    check_equality(&state, &scan, &params);
+                }
+            }
+            num_waited
+        })
+        .sum();
+    assert!(num_waited > 40, "{num_waited}");
+}
+
+#[test]
+fn a_keyframe_that_sees_unpainted_surface_does_not_wait() {
+    let (params, mut stream) = (texinit_params(), stream_params());
+    (stream.batch_frames, stream.urgent_share) = (100, 0.6);
+    let mut scan = Scan::new(3);
+    scan.show_all();
+    let mut state = StreamInit::new(&params, &stream).unwrap();
+    assert_eq!(update(&mut state, &scan).num_frames_waiting, 0);
+    let decode = |keyframe: &Keyframe| scan.decode(keyframe);
+    let mut frames = scan.frames();
+    let mut another = Keyframe::clone(&frames[0]);
+    another.id = KeyframeId(1000);
+    frames.push(Arc::new(another));
+    let is_waiting = |state: &mut StreamInit| {
+        let update = state.update(&scan.mesh(), &frames, &decode, &Silent);
+        update.unwrap().num_frames_waiting
+    };
+    assert_eq!(is_waiting(&mut state), 1, "most that it sees is painted");
+    let mut state = StreamInit::new(&params, &stream).unwrap();
+    assert_eq!(is_waiting(&mut state), 0, "nothing is painted");
+}
+
+#[test]
 fn the_keyframe_that_sees_most_of_what_is_unpainted_comes_first() {
     let (params, mut stream) = (texinit_params(), stream_params());
     stream.max_new_frames = 1;
@@ -377,8 +453,8 @@ fn the_keyframe_that_sees_most_of_what_is_unpainted_comes_first() {
             ..(**frame).clone()
         })
     };
-    let taken = |frames: &[Arc<Keyframe>]| {
-        let (taken, num_waiting) = state.within_budget(frames);
+    let mut taken = |frames: &[Arc<Keyframe>]| {
+        let (taken, num_waiting) = state.taken_in(frames, true);
         assert_eq!(num_waiting, frames.len() - taken.len());
         taken.iter().map(|frame| frame.id.0).collect::<Vec<_>>()
     };
