@@ -17,10 +17,10 @@
 //!    sums, to which a new keyframe adds; where it adds nothing nothing is written.
 //! 5. Unseen regions ([`super::fill`]) beside changed texels, and the gutters of charts with any.
 //!
-//! **Equality**: labels and texels are, to the last byte, what [`super::repaint`] makes of
-//! [`StreamInit::mesh`], [`StreamInit::layout`] and the same keyframes with [`super::Coupling::Chart`];
-//! the way there leaves its trace in the layout alone. With [`StreamParams::hysteresis`] it does in the
-//! labels too, which are then worth nearly as much; texels are what the labels say.
+//! **Equality**: without [`StreamParams::hysteresis`] labels and texels are, to the last byte, what
+//! [`super::repaint`] makes of [`StreamInit::mesh`], [`StreamInit::layout`] and the keyframes that are taken in, with
+//! [`super::Coupling::Chart`]; the way there leaves its trace in the layout alone. With hysteresis it does in the
+//! labels too, which are then worth less by at most that times the triangles; texels are what the labels say.
 //!
 //! The mesh is that of the caller with its vertices on a fine grid ([`DiffParams::quantum_m`]) and its
 //! triangles in the order of the charts. The density is fixed when the first triangle is seen, in
@@ -76,9 +76,9 @@ pub struct StreamParams {
     pub max_drift_m: f64,
     /// Charts of fewer triangles beside changed surface are made anew with it.
     pub remake_below_triangles: usize,
-    /// How much better others must score before a triangle's frame is given up for them (≥ 0). More than 0
-    /// makes labels depend on those before: those of a chart are then worth less than the best by at most
-    /// this times its triangles.
+    /// How much better others must score, per triangle, before a patch's frame is given up for them (≥ 0).
+    /// More than 0 makes labels depend on those before: those of a chart are then worth less than the best by
+    /// at most this times its triangles.
     pub hysteresis: f32,
     /// Side of the pages, at most that of [`crate::atlas::PackParams`].
     pub page_size_texel: u32,
@@ -91,7 +91,8 @@ pub struct StreamParams {
     /// New keyframes that see little unpainted surface wait until there are so many, for at most as many
     /// updates; 1 for none to wait.
     pub batch_frames: usize,
-    /// A keyframe does not wait where more than this share of the triangles in its view is unpainted, [0, 1].
+    /// A keyframe does not wait where more than this share of the triangles in its view is unpainted, [0, 1];
+    /// but for those that several keyframes looked for in vain.
     pub urgent_share: f64,
 }
 

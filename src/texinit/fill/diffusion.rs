@@ -7,8 +7,6 @@
 //! converged; enough for a smooth blend, near convergence for regions of some dozens of rings.
 //! Sequential, in a fixed order that goes by position: a region comes out alike whatever else there is.
 
-use std::cmp::Ordering;
-
 use super::FillParams;
 use crate::mesh::{TriMesh, TriangleId};
 
@@ -44,21 +42,23 @@ impl SurfaceVertices {
         }
         members.sort_unstable();
         members.dedup();
-        members.sort_by(|&a, &b| {
-            let [a, b] = [a, b].map(|vertex| mesh.positions_m()[vertex as usize]);
-            // Adding zero turns -0.0 into 0.0.
-            let axes = (0..3).map(|axis| (a[axis] + 0.0).total_cmp(&(b[axis] + 0.0)));
-            axes.fold(Ordering::Equal, Ordering::then)
-        });
+        let mut by_position: Vec<([u64; 3], u32)> = members
+            .iter()
+            .map(|&vertex| {
+                let position = mesh.positions_m()[vertex as usize];
+                ([0, 1, 2].map(|axis| in_order(position[axis])), vertex)
+            })
+            .collect();
+        by_position.sort_unstable();
         let mut vertex_of = vec![ABSENT; mesh.num_vertices()];
-        for (number, &vertex) in (0_u32..).zip(&members) {
+        for (number, &(_, vertex)) in (0_u32..).zip(&by_position) {
             vertex_of[vertex as usize] = number;
         }
         let vertex_at = |corner: u32| vertex_of[representative[corner as usize] as usize];
         Self {
             of_corner: mesh.triangles().iter().map(|c| c.map(vertex_at)).collect(),
             triangles,
-            num_vertices: members.len(),
+            num_vertices: by_position.len(),
         }
     }
 
@@ -72,6 +72,13 @@ impl SurfaceVertices {
             .unwrap_or([ABSENT; 3])
             .map(|vertex| (vertex != ABSENT).then_some(vertex as usize))
     }
+}
+
+/// A number that goes up with the value; −0 is 0.
+fn in_order(value: f64) -> u64 {
+    const SIGN: u64 = 1 << 63;
+    let bits = (value + 0.0).to_bits();
+    if bits & SIGN == 0 { bits | SIGN } else { !bits }
 }
 
 /// Colours of all vertices.
@@ -107,34 +114,50 @@ struct Graph {
 
 impl Graph {
     fn new(mesh: &TriMesh, vertices: &SurfaceVertices, given: &[Option<[f64; 3]>]) -> Self {
-        let mut edges: Vec<(u32, u32, f64)> = Vec::new();
-        for &triangle in &vertices.triangles {
-            let ids = vertices.of_corner[triangle.index()];
+        // An edge is met once from each of its triangles; of equal ones the first weight counts.
+        let is_free = |vertex: u32| given[vertex as usize].is_none();
+        let sides = || {
+            vertices.triangles.iter().flat_map(|&triangle| {
+                let ids = vertices.of_corner[triangle.index()];
+                (0..3).map(move |k| (triangle, k, ids[k], ids[(k + 1) % 3]))
+            })
+        };
+        let mut next = vec![0; vertices.len() + 1];
+        for (_, _, from, to) in sides().filter(|(_, _, from, to)| from != to) {
+            for vertex in [from, to].into_iter().filter(|&vertex| is_free(vertex)) {
+                next[vertex as usize + 1] += 1;
+            }
+        }
+        for k in 1..next.len() {
+            next[k] += next[k - 1];
+        }
+        let met_from = next.clone();
+        let mut met = vec![(ABSENT, 0.0); next[vertices.len()]];
+        for (triangle, k, from, to) in sides().filter(|(_, _, from, to)| from != to) {
             let corners = mesh.corners_m(triangle);
-            for k in 0..3 {
-                let (from, to) = (ids[k], ids[(k + 1) % 3]);
-                let length_m = (corners[(k + 1) % 3] - corners[k]).norm();
-                let weight = 1.0 / length_m.max(MIN_EDGE_M);
-                for (from, to) in [(from, to), (to, from)] {
-                    if from != to && given[from as usize].is_none() {
-                        edges.push((from, to, weight));
-                    }
+            let length_m = (corners[(k + 1) % 3] - corners[k]).norm();
+            let weight = 1.0 / length_m.max(MIN_EDGE_M);
+            for (from, to) in [(from, to), (to, from)] {
+                if is_free(from) {
+                    let place = &mut next[from as usize];
+                    met[*place] = (to, weight);
+                    *place += 1;
                 }
             }
         }
-        edges.sort_unstable_by(|a, b| (a.0, a.1).cmp(&(b.0, b.1)).then(a.2.total_cmp(&b.2)));
-        edges.dedup_by(|a, b| (a.0, a.1).cmp(&(b.0, b.1)) == Ordering::Equal);
-        let mut start = vec![0; vertices.len() + 1];
-        for edge in &edges {
-            start[edge.0 as usize + 1] += 1;
+        let mut graph = Self {
+            start: Vec::with_capacity(met_from.len()),
+            neighbours: Vec::with_capacity(met.len()),
+        };
+        for ends in met_from.windows(2) {
+            let of_vertex = &mut met[ends[0]..ends[1]];
+            of_vertex.sort_unstable_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
+            graph.start.push(graph.neighbours.len());
+            let chunks = of_vertex.chunk_by(|a, b| a.0 == b.0);
+            graph.neighbours.extend(chunks.map(|same| same[0]));
         }
-        for k in 1..start.len() {
-            start[k] += start[k - 1];
-        }
-        Self {
-            start,
-            neighbours: edges.into_iter().map(|(_, to, w)| (to, w)).collect(),
-        }
+        graph.start.push(graph.neighbours.len());
+        graph
     }
 
     fn of(&self, vertex: usize) -> &[(u32, f64)] {

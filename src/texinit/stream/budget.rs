@@ -12,6 +12,9 @@ use super::StreamInit;
 use crate::keyframe::Keyframe;
 use crate::render::Frustum;
 
+/// What so many keyframes looked for and did not see is hidden, and no reason not to wait.
+const MANY_LOOKS: usize = 4;
+
 /// New keyframes that wait for others.
 #[derive(Debug, Default)]
 pub(super) struct Held {
@@ -26,6 +29,8 @@ struct InView {
     num_triangles: usize,
     /// Those that no frame paints.
     num_unpainted: usize,
+    /// Those of them in charts that few keyframes looked at.
+    num_untried: usize,
 }
 
 impl StreamInit {
@@ -59,7 +64,7 @@ impl StreamInit {
 
     fn is_urgent(&self, frame: &Keyframe) -> bool {
         let in_view = self.in_view(frame);
-        in_view.num_unpainted as f64 > self.stream.urgent_share * in_view.num_triangles as f64
+        in_view.num_untried as f64 > self.stream.urgent_share * in_view.num_triangles as f64
     }
 
     /// As many new keyframes as an update may take in, those first that see most triangles which no frame
@@ -96,11 +101,16 @@ impl StreamInit {
         let mut in_view = InView {
             num_triangles: 0,
             num_unpainted: 0,
+            num_untried: 0,
         };
         for chart in charts.filter(|chart| frustum.may_see(&chart.bounds)) {
             let labels = &chart.labels.assignment().label;
             in_view.num_triangles += labels.len();
-            in_view.num_unpainted += labels.iter().filter(|label| label.is_none()).count();
+            let num_unpainted = labels.iter().filter(|label| label.is_none()).count();
+            in_view.num_unpainted += num_unpainted;
+            if chart.num_looks < MANY_LOOKS {
+                in_view.num_untried += num_unpainted;
+            }
         }
         in_view
     }

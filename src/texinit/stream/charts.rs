@@ -34,6 +34,8 @@ pub(super) struct StreamChart {
     /// How far a vertex may have moved since the chart was flattened, metres.
     pub(super) drift_m: f64,
     pub(super) labels: KeptLabels,
+    /// Keyframes that were new when they looked at it.
+    pub(super) num_looks: usize,
     /// Sums over the keyframes of triangles that show a mean.
     pub(super) means: BTreeMap<u32, Vec<TexelSum>>,
     /// How many texels of each triangle are painted.
@@ -55,6 +57,7 @@ impl StreamChart {
             bounds: BoundingBox::around([]),
             drift_m: 0.0,
             labels: KeptLabels::new(num_triangles),
+            num_looks: 0,
             members: members.collect(),
             means: BTreeMap::new(),
             coverage: vec![Coverage::default(); num_triangles],

@@ -153,6 +153,7 @@ impl StreamInit {
             let labels = &mut chart.labels;
             labels.renew(number, keyframe.quality, &triangles, newer);
             if turnover.added.contains(&number) {
+                chart.num_looks += 1;
                 dirt.added.insert(number);
             } else if is_resighted {
                 dirt.resighted.insert(number);
