@@ -10,7 +10,8 @@ const SHIFT_M: f64 = 0.05;
 
 #[test]
 fn a_loop_closure_repaints_a_live_scan_and_back_again() {
-    let Some(mut live) = Painted::new(&[]) else {
+    // With hysteresis labels remember the way.
+    let Some(mut live) = Painted::new(&["stream.hysteresis:=0"]) else {
         return;
     };
     let num_keyframes = live.seen.number("keyframes", "keyframes");
