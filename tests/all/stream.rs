@@ -8,7 +8,9 @@ use veneer::atlas::{AtlasTexture, TexelRect};
 use veneer::bag::BagReader;
 use veneer::config::Config;
 use veneer::keyframe::{Keyframe, KeyframeStore};
-use veneer::pipeline::{NoProgress, PipelineError, StreamPainter, Streamed, run_streamed, stream};
+use veneer::pipeline::{
+    NoProgress, PipelineError, PipelineParams, StreamPainter, Streamed, run_streamed, stream,
+};
 use veneer::texinit::stream::StreamInit;
 use veneer::texinit::{Coupling, Observer, Repainted, Stage, TexInitParams, repaint};
 
@@ -37,13 +39,19 @@ fn grown_tabletop(dir: &Path) -> BagReader {
     BagReader::open(&bag, &Config::default().topics).unwrap()
 }
 
+/// Labels that do not depend on those before, and no keyframe that waits for others.
+fn exact() -> PipelineParams {
+    let mut params = Config::default().pipeline;
+    params.stream.hysteresis = 0.0;
+    params.stream.batch_frames = 1;
+    params
+}
+
 #[test]
 fn every_update_of_a_growing_scan_equals_the_whole() {
     let dir = tempfile::tempdir().unwrap();
-    let mut params = Config::default().pipeline;
+    let mut params = exact();
     params.stream.page_size_texel = 256;
-    params.stream.hysteresis = 0.0;
-    params.stream.batch_frames = 1;
     let mut sizes = vec![];
     let mut see = |painter: &StreamPainter, streamed: &Streamed| {
         let state = painter.state().unwrap();
@@ -60,9 +68,8 @@ fn every_update_of_a_growing_scan_equals_the_whole() {
 #[test]
 fn a_streamed_run_is_the_whole_on_its_charts_without_the_frames_that_judge() {
     let dir = tempfile::tempdir().unwrap();
-    let mut params = Config::default().pipeline;
+    let mut params = exact();
     params.held_out.num_views = 1;
-    params.stream.hysteresis = 0.0;
     // All but two wait at times.
     params.stream.max_new_frames = 2;
     let mut source = grown_tabletop(dir.path());
@@ -140,7 +147,7 @@ fn seams_are_levelled_in_idle_time_and_texinit_stays_below() {
     let dir = tempfile::tempdir().unwrap();
     let bag = small_tabletop(dir.path(), &["--grow", "4", "--exposure-noise", "0.3"]);
     let mut source = BagReader::open(&bag, &Config::default().topics).unwrap();
-    let mut params = Config::default().pipeline;
+    let mut params = exact();
     params.stream.page_size_texel = 256;
     params.refine.seams.has_global = true;
     params.refine.seams.has_local = true;
@@ -201,7 +208,7 @@ fn poses_are_corrected_in_idle_time_and_what_depends_on_them_is_painted_anew() {
     let noise = ["--grow", "3", "--pose-noise-rad", "0.01"];
     let bag = small_tabletop(dir.path(), &noise);
     let mut source = BagReader::open(&bag, &Config::default().topics).unwrap();
-    let mut params = Config::default().pipeline;
+    let mut params = exact();
     params.refine.has_pose = true;
     params.idle.max_keyframes = 3;
     let mut num_moved = vec![];

@@ -42,7 +42,7 @@ impl Progress for Steps {
 
 /// Crops that fit the small photos; all charts in one group.
 fn params(num_steps: usize) -> PipelineParams {
-    let mut params = Config::default().pipeline;
+    let mut params = super::exact();
     params.texsmooth.num_steps = num_steps;
     params.texsmooth.crop_px = 96;
     params.idle.max_texels = 1_000_000_000;
