@@ -73,7 +73,7 @@ const IDLE_BYTES: u64 = 16_000_000;
 /// views see of the mesh.
 const SMOOTH_SHARE: f64 = 0.05;
 /// The discriminator with its moments and scratch memory, and what a step looks at.
-const SMOOTH_BYTES: u64 = 100_000_000;
+const SMOOTH_BYTES: u64 = 110_000_000;
 /// A texel that the optimisation works on, in tiles that other charts share.
 const SMOOTH_TEXEL_BYTES: f64 = 90.0;
 /// A texel of the atlas, and the copy that an export or a change of its page makes.

@@ -700,6 +700,31 @@ mod tests {
     }
 
     #[test]
+    fn pairs_between_blocks_send_messages_like_those_within() {
+        let num = BLOCK_SIZE + 3;
+        let last = BLOCK_SIZE as u32 - 1;
+        // Before the border 0 is a little better, behind it 1 by far; another pair lies within each block.
+        let mut scores = vec![vec![]; num];
+        scores[BLOCK_SIZE - 1] = vec![(0, 0.5), (1, 0.25)];
+        scores[BLOCK_SIZE] = vec![(0, 0.0), (1, 8.0)];
+        for pair in [[0, 1], [BLOCK_SIZE + 1, BLOCK_SIZE + 2]] {
+            scores[pair[0]] = vec![(2, 1.0), (3, 0.5)];
+            scores[pair[1]] = vec![(2, 0.0), (3, 4.0)];
+        }
+        let adjacency = vec![[0, 1], [last, last + 1], [last + 2, last + 3]];
+        let pairs = Adjacency::new(num, adjacency.clone());
+        assert_eq!(pairs.pairs(), [adjacency[0], adjacency[2], adjacency[1]]);
+        assert_eq!(pairs.block_ends, [1, 2]);
+        let ranked = ranked_of(&scores, 2);
+        let mut messages = Messages::<4>::new(&ranked, &pairs, 1.0);
+        while messages.sweep() {}
+        // 0.25 + 8 + 1, and twice 0.5 + 4 + 1: no more than labels reach.
+        assert!((messages.dual_value() - 20.25).abs() < 1e-5);
+        let labels = solve(&ranked, &pairs, &PairwiseParams::default());
+        assert!((value(&scores, &adjacency, 1.0, &labels) - 20.25).abs() < 1e-5);
+    }
+
+    #[test]
     fn ranking_keeps_the_best_and_gives_ties_to_the_later_frame() {
         let ranked = ranked_of(&[vec![(0, 1.0), (3, 2.0), (5, 2.0), (7, 0.5)], vec![]], 2);
         let frames: Vec<u32> = ranked.of(0).iter().map(|choice| choice.frame).collect();

@@ -436,6 +436,38 @@ fn a_keyframe_that_sees_unpainted_surface_does_not_wait() {
 }
 
 #[test]
+fn what_several_keyframes_looked_for_in_vain_is_no_reason_not_to_wait() {
+    let (params, mut stream) = (texinit_params(), stream_params());
+    (stream.batch_frames, stream.urgent_share) = (100, 0.0);
+    let mut scan = Scan::new(3);
+    scan.show_all();
+    let decode = |keyframe: &Keyframe| scan.decode(keyframe);
+    let template = scan.frames()[0].clone();
+    let numbered = |number: u32| {
+        let mut keyframe = Keyframe::clone(&template);
+        keyframe.id = KeyframeId(number);
+        Arc::new(keyframe)
+    };
+    // They decode as numbers below a photo's only.
+    let decode_any = |keyframe: &Keyframe| {
+        let as_first = Keyframe {
+            id: template.id,
+            ..keyframe.clone()
+        };
+        decode(&as_first)
+    };
+    let mut state = StreamInit::new(&params, &stream).unwrap();
+    let mut waiting = Vec::new();
+    for num_frames in 1..=6 {
+        let frames: Vec<_> = (0..num_frames).map(numbered).collect();
+        let update = state.update(&scan.mesh(), &frames, &decode_any, &Silent);
+        waiting.push(update.unwrap().num_frames_waiting);
+    }
+    assert!(state.labels().contains(&None), "something is hidden");
+    assert_eq!(waiting, [0, 0, 0, 0, 1, 2]);
+}
+
+#[test]
 fn the_keyframe_that_sees_most_of_what_is_unpainted_comes_first() {
     let (params, mut stream) = (texinit_params(), stream_params());
     stream.max_new_frames = 1;
