@@ -379,7 +379,7 @@ fn keyframes_wait_their_turn_and_leave_no_trace() {
 fn keyframes_that_see_little_unpainted_surface_wait_for_others() {
     let (params, mut stream) = (texinit_params(), stream_params());
     (stream.batch_frames, stream.urgent_share) = (3, 0.6);
-    let num_waited: usize = (600..640_u64)
+    let num_waited: Vec<usize> = (600..640_u64)
         .into_par_iter()
         .map(|seed| {
             let (mut scan, mut draw) = (Scan::new(seed), Draw(seed));
@@ -409,7 +409,8 @@ fn keyframes_that_see_little_unpainted_surface_wait_for_others() {
             }
             num_waited
         })
-        .sum();
+        .collect();
+    let num_waited: usize = num_waited.iter().sum();
     assert!(num_waited > 40, "{num_waited}");
 }
 
