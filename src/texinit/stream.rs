@@ -291,7 +291,7 @@ impl StreamInit {
         self.compact(&mut change, &mut update);
         self.lay_out(&mut change);
 
-        let (frames, num_waiting) = self.taken_in(frames, !update.mesh.is_same());
+        let (frames, num_waiting) = self.taken_in(frames, &change.dirt, !update.mesh.is_same());
         let frames = &*frames;
         update.num_frames_waiting = num_waiting;
         observer.begin(Stage::Assign, frames.len());

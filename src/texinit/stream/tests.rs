@@ -437,6 +437,32 @@ fn a_keyframe_that_sees_unpainted_surface_does_not_wait() {
 }
 
 #[test]
+fn a_keyframe_waits_for_at_most_as_many_updates() {
+    let (params, mut stream) = (texinit_params(), stream_params());
+    (stream.batch_frames, stream.urgent_share) = (3, 0.6);
+    let mut scan = Scan::new(3);
+    scan.show_all();
+    let mut state = StreamInit::new(&params, &stream).unwrap();
+    assert_eq!(update(&mut state, &scan).num_frames_waiting, 0);
+    let mut frames = scan.frames();
+    frames.push(Arc::new(Keyframe {
+        id: KeyframeId(1000),
+        ..Keyframe::clone(&frames[0])
+    }));
+    let waiting = [1.2, 1.0, 0.8, 0.6, 0.4].map(|x_m| {
+        // There is less surface each time, of which nothing is unpainted.
+        scan.hide_right_of(x_m);
+        let decode = |keyframe: &Keyframe| scan.decode(keyframe);
+        let update = state
+            .update(&scan.mesh(), &frames, &decode, &Silent)
+            .unwrap();
+        assert!(update.mesh.num_gone > 0);
+        update.num_frames_waiting
+    });
+    assert_eq!(waiting, [1, 1, 1, 0, 0]);
+}
+
+#[test]
 fn what_several_keyframes_looked_for_in_vain_is_no_reason_not_to_wait() {
     let (params, mut stream) = (texinit_params(), stream_params());
     (stream.batch_frames, stream.urgent_share) = (100, 0.0);
@@ -487,7 +513,8 @@ fn the_keyframe_that_sees_most_of_what_is_unpainted_comes_first() {
         })
     };
     let mut taken = |frames: &[Arc<Keyframe>]| {
-        let (taken, num_waiting) = state.taken_in(frames, true);
+        let dirt = vec![charts::Dirt::default(); state.charts.len()];
+        let (taken, num_waiting) = state.taken_in(frames, &dirt, true);
         assert_eq!(num_waiting, frames.len() - taken.len());
         taken.iter().map(|frame| frame.id.0).collect::<Vec<_>>()
     };
