@@ -324,26 +324,21 @@ impl Scoring<'_> {
             if !view.may_see(&chart.bounds) {
                 continue;
             }
-            if is_unseen {
-                looked.push(Looked {
-                    chart: index,
-                    triangles: (0..).take(chart.len()).collect(),
-                });
-                continue;
-            }
             let cover = cover.filter(|cover| cover.meets(&chart.bounds.corners_m()));
-            if !dirt.has_unscored() && cover.is_none() {
+            if !is_unseen && !dirt.has_unscored() && cover.is_none() {
                 continue;
             }
             let mut triangles = Vec::new();
             for (triangle, of_chart) in (0_u32..).zip(&*chart.piece.chart.triangles) {
                 let corners_m = self.state.mesh.corners_m(*of_chart);
-                let is_unscored = dirt.is_unscored(triangle as usize);
+                let is_unscored = is_unseen || dirt.is_unscored(triangle as usize);
                 let in_camera = view.in_camera(&corners_m);
                 let may_differ = || cover.is_some_and(|cover| cover.meets_in_camera(&in_camera));
                 if (is_unscored || may_differ()) && !view.hides(&in_camera, bound) {
                     triangles.push(triangle);
-                    window.include(view.corners_px(&in_camera));
+                    if !is_unseen {
+                        window.include(view.corners_px(&in_camera));
+                    }
                 }
             }
             if !triangles.is_empty() {
