@@ -106,7 +106,7 @@ impl Default for StreamParams {
             page_size_texel: 2048,
             min_used_share: 0.5,
             max_new_frames: 32,
-            batch_frames: 4,
+            batch_frames: 6,
             urgent_share: 0.1,
             view_cache_mb: 256.0,
         }
