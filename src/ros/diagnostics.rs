@@ -450,6 +450,7 @@ fn painting(seen: &Observation<'_>) -> Finding {
         value("idle steps", paint.num_idle_steps),
         value("charts to refine", paint.num_charts_waiting),
         value("keyframes to align", paint.num_poses_waiting),
+        value("keyframes to paint", paint.num_frames_waiting),
     ];
     for (name, stage) in &paint.stages {
         values.push(value(

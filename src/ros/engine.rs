@@ -83,6 +83,8 @@ pub(super) struct PaintStatus {
     pub(super) num_charts_waiting: usize,
     /// Keyframes whose pose waits to be measured.
     pub(super) num_poses_waiting: usize,
+    /// Keyframes that the last painting left for another.
+    pub(super) num_frames_waiting: usize,
 }
 
 /// A painting as it is published.

@@ -46,6 +46,7 @@ fn is_settled(seen: &Diagnostics) -> bool {
     seen.number("painting", "paintings") > 0
         && seen.number("keyframes", "pending") == 0
         && seen.value("painting", "is painting").as_deref() == Some("false")
+        && seen.number("painting", "keyframes to paint") == 0
         && seen.value("painting", "revision painted") == seen.value("keyframes", "revision")
 }
 

@@ -159,6 +159,7 @@ fn that_each_change_paints_the_whole_is_told_with_its_reason() {
         num_painted: 3,
         num_charts_waiting: 5,
         num_poses_waiting: 2,
+        num_frames_waiting: 4,
         ..PaintStatus::default()
     };
     let mut seen = observe(vec![], &[], &paint);
@@ -168,7 +169,12 @@ fn that_each_change_paints_the_whole_is_told_with_its_reason() {
     };
     let found = painting(&seen);
     assert!(!found.message.contains("whole"), "{}", found.message);
-    for (key, number) in [("charts to refine", "5"), ("keyframes to align", "2")] {
+    let expected = [
+        ("charts to refine", "5"),
+        ("keyframes to align", "2"),
+        ("keyframes to paint", "4"),
+    ];
+    for (key, number) in expected {
         let value = found.values.iter().find(|(name, _)| name == key);
         assert_eq!(value.unwrap().1, number);
     }

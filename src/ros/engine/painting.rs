@@ -178,6 +178,8 @@ fn note(status: &mut PaintStatus, painted: &Painted) {
     status.last_error = None;
     status.revision = painted.capture.revision;
     status.memory = painted.memory;
+    let update = painted.update.as_ref();
+    status.num_frames_waiting = update.map_or(0, |update| update.num_frames_waiting);
     for stage in &painted.stages {
         let entry = status.stages.entry(stage.name).or_default();
         entry.num_runs += 1;
