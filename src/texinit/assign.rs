@@ -26,6 +26,7 @@
 //! Memory: 16 bytes per (triangle, frame) in view and not beaten by the empty label: a frame costs
 //! about what its JPEG costs.
 
+pub(crate) mod adjacency;
 pub(crate) mod chart_table;
 pub(crate) mod comparison;
 pub mod cues;

@@ -234,16 +234,19 @@ impl Kept {
         self.update(&mesh, &keyframes, decode, clock)
     }
 
+    /// Those of what is painted, as they paint.
+    fn shown_keyframes(&self) -> Vec<Arc<Keyframe>> {
+        let capture = self.capture.as_ref();
+        capture.map_or_else(Vec::new, |capture| self.painting(&capture.keyframes))
+    }
+
     fn level_some(
         &mut self,
         decode: &Decode<'_>,
         params: &PipelineParams,
         clock: &StageClock<'_>,
     ) -> Result<StreamUpdate, PipelineError> {
-        let Some(capture) = &self.capture else {
-            return Ok(StreamUpdate::default());
-        };
-        let keyframes = self.painting(&capture.keyframes);
+        let keyframes = self.shown_keyframes();
         let Some(refined) = &mut self.refined else {
             return Ok(StreamUpdate::default());
         };
@@ -288,10 +291,7 @@ impl Kept {
         params: &PipelineParams,
         clock: &StageClock<'_>,
     ) -> Result<StreamUpdate, PipelineError> {
-        let Some(capture) = &self.capture else {
-            return Ok(StreamUpdate::default());
-        };
-        let keyframes = self.painting(&capture.keyframes);
+        let keyframes = self.shown_keyframes();
         let Some(refined) = &mut self.refined else {
             return Ok(StreamUpdate::default());
         };

@@ -14,9 +14,9 @@ use crate::atlas::AtlasLayout;
 use crate::keyframe::FrameQuality;
 use crate::mesh::{TriMesh, TriangleId};
 
+use super::adjacency::adjacent_pairs;
 use super::cues::FrameCandidates;
 use super::label::{CandidateTable, count_seams};
-use super::pairwise::adjacent_pairs;
 use super::quality::TypicalQuality;
 use super::{AssignParams, AssignReport, Assignment, FailedFrame, ScoredFrames};
 

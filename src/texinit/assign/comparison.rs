@@ -6,9 +6,10 @@ use rayon::prelude::*;
 
 use crate::mesh::{TriMesh, TriangleId};
 
+use super::adjacency::Adjacency;
 use super::cues::{Candidate, TripleColor};
 use super::label::{CandidateTable, ColorSum};
-use super::pairwise::{self, Adjacency, PairwiseParams, Ranked};
+use super::pairwise::{self, PairwiseParams, Ranked};
 use super::quality::TypicalQuality;
 use super::steady::Steadying;
 use super::{AssignParams, ColorCue};

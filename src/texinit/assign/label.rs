@@ -7,9 +7,9 @@ use rayon::prelude::*;
 use crate::keyframe::FrameQuality;
 use crate::mesh::{TriMesh, TriangleId};
 
+use super::adjacency::Adjacency;
 use super::comparison::{Comparison, TASK_SIZE};
 use super::cues::{Candidate, FrameCandidates};
-use super::pairwise::Adjacency;
 use super::quality::TypicalQuality;
 use super::{AssignParams, AssignReport, Assignment, FailedFrame};
 

@@ -10,6 +10,8 @@
 
 use rayon::prelude::*;
 
+use super::adjacency::{Adjacency, BLOCK_SIZE};
+
 /// The pairwise cue.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PairwiseParams {
@@ -144,108 +146,6 @@ impl Ranked {
     }
 }
 
-/// Pairs of triangles that share an edge, sorted, the lower number first. Where more than two meet, each
-/// is paired with the next.
-pub(crate) fn adjacent_pairs(triangles: &[[u32; 3]]) -> Vec<[u32; 2]> {
-    let mut sides: Vec<([u32; 2], u32)> = Vec::with_capacity(3 * triangles.len());
-    for (triangle, &[a, b, c]) in (0u32..).zip(triangles) {
-        for [p, q] in [[a, b], [b, c], [c, a]] {
-            if p != q {
-                sides.push(([p.min(q), p.max(q)], triangle));
-            }
-        }
-    }
-    sides.sort_unstable();
-    let mut pairs: Vec<[u32; 2]> = sides
-        .windows(2)
-        .filter(|pair| pair[0].0 == pair[1].0 && pair[0].1 != pair[1].1)
-        .map(|pair| [pair[0].1, pair[1].1])
-        .collect();
-    pairs.sort_unstable();
-    pairs.dedup();
-    pairs
-}
-
-/// Triangles of a block: pairs within one do not meet those within another.
-const BLOCK_SIZE: usize = 4096;
-
-/// Which triangles share an edge, in the order in which messages are sent.
-#[derive(Clone, Debug)]
-pub(crate) struct Adjacency {
-    /// Those within a block, by block, then those between blocks; sorted in each part.
-    pairs: Vec<[u32; 2]>,
-    /// Behind the last pair of each block.
-    block_ends: Vec<usize>,
-    neighbours: Neighbours,
-}
-
-impl Adjacency {
-    pub(crate) fn of(triangles: &[[u32; 3]]) -> Self {
-        Self::new(triangles.len(), adjacent_pairs(triangles))
-    }
-
-    /// From sorted pairs, the lower number first.
-    pub(super) fn new(num_triangles: usize, pairs: Vec<[u32; 2]>) -> Self {
-        let neighbours = Neighbours::new(num_triangles, &pairs);
-        let block_of = |triangle: u32| triangle as usize / BLOCK_SIZE;
-        let (mut within, between): (Vec<_>, Vec<_>) = pairs
-            .into_iter()
-            .partition(|&[i, j]| block_of(i) == block_of(j));
-        let num_blocks = num_triangles.div_ceil(BLOCK_SIZE);
-        let end_of = |block: usize| within.partition_point(|&[i, _]| block_of(i) <= block);
-        let block_ends = (0..num_blocks).map(end_of).collect();
-        within.extend(between);
-        Self {
-            pairs: within,
-            block_ends,
-            neighbours,
-        }
-    }
-
-    /// All pairs, each once.
-    pub(crate) fn pairs(&self) -> &[[u32; 2]] {
-        &self.pairs
-    }
-
-    /// What is adjacent to a triangle.
-    pub(super) fn of_triangle(&self, triangle: u32) -> &[u32] {
-        self.neighbours.of(triangle as usize)
-    }
-}
-
-/// Adjacent triangles of each triangle.
-#[derive(Clone, Debug)]
-struct Neighbours {
-    first: Vec<u32>,
-    others: Vec<u32>,
-}
-
-impl Neighbours {
-    fn new(num_triangles: usize, pairs: &[[u32; 2]]) -> Self {
-        let mut first = vec![0_u32; num_triangles + 1];
-        for &triangle in pairs.iter().flatten() {
-            first[triangle as usize + 1] += 1;
-        }
-        for triangle in 0..num_triangles {
-            first[triangle + 1] += first[triangle];
-        }
-        let mut next = first.clone();
-        let mut others = vec![0; 2 * pairs.len()];
-        for &[i, j] in pairs {
-            for [triangle, other] in [[i, j], [j, i]] {
-                let place = &mut next[triangle as usize];
-                others[*place as usize] = other;
-                *place += 1;
-            }
-        }
-        Self { first, others }
-    }
-
-    fn of(&self, triangle: usize) -> &[u32] {
-        &self.others[self.first[triangle] as usize..self.first[triangle + 1] as usize]
-    }
-}
-
 /// The labels of best total score found.
 pub(crate) fn solve(
     ranked: &Ranked,
@@ -322,7 +222,7 @@ impl<'a, const SLOTS: usize> Messages<'a, SLOTS> {
             })
             .unzip();
         let same_slot = adjacency
-            .pairs
+            .pairs()
             .par_iter()
             .with_min_len(BLOCK_SIZE)
             .map(|pair| {
@@ -331,7 +231,7 @@ impl<'a, const SLOTS: usize> Messages<'a, SLOTS> {
             })
             .collect();
         Self {
-            sent: vec![[[0.0; SLOTS]; 2]; adjacency.pairs.len()],
+            sent: vec![[[0.0; SLOTS]; 2]; adjacency.pairs().len()],
             adjacency,
             weight,
             beliefs,
@@ -343,12 +243,12 @@ impl<'a, const SLOTS: usize> Messages<'a, SLOTS> {
     /// anything changed; where nothing did, nothing ever will.
     fn sweep(&mut self) -> bool {
         let weight = self.weight;
-        let (mut pairs, mut same_slot) = (&*self.adjacency.pairs, &*self.same_slot);
+        let (mut pairs, mut same_slot) = (self.adjacency.pairs(), &*self.same_slot);
         let mut sent = &mut *self.sent;
-        let mut blocks = Vec::with_capacity(self.adjacency.block_ends.len());
+        let mut blocks = Vec::with_capacity(self.adjacency.block_ends().len());
         let mut start = 0;
         let beliefs = self.beliefs.chunks_mut(BLOCK_SIZE);
-        for (block, (beliefs, &end)) in beliefs.zip(&self.adjacency.block_ends).enumerate() {
+        for (block, (beliefs, &end)) in beliefs.zip(self.adjacency.block_ends()).enumerate() {
             let len = end - start;
             start = end;
             let (of_pairs, of_same) = (pairs.split_at(len), same_slot.split_at(len));
@@ -394,7 +294,7 @@ impl<'a, const SLOTS: usize> Messages<'a, SLOTS> {
         let triangles = self.beliefs.iter().map(max).map(f64::from);
         let mut value: f64 = triangles.filter(|best| best.is_finite()).sum();
         let messages = self.sent.iter().zip(&self.same_slot);
-        for (pair, (sent, same_slot)) in self.adjacency.pairs.iter().zip(messages) {
+        for (pair, (sent, same_slot)) in self.adjacency.pairs().iter().zip(messages) {
             let [a, b] = pair.map(|triangle| &self.beliefs[triangle as usize]);
             let mut best = f64::NEG_INFINITY;
             for i in (0..SLOTS).filter(|&i| a[i].is_finite()) {
@@ -490,7 +390,7 @@ fn total_score(ranked: &Ranked, adjacency: &Adjacency, weight: f32, chosen: &[us
         .map(|choice| f64::from(choice.score))
         .sum();
     let num_equal = adjacency
-        .pairs
+        .pairs()
         .iter()
         .filter(|pair| {
             let [a, b] = pair.map(|triangle| choice(triangle as usize));
@@ -518,7 +418,7 @@ fn improve(ranked: &Ranked, adjacency: &Adjacency, weight: f32, chosen: &mut [us
             if !std::mem::take(&mut is_due[triangle]) {
                 continue;
             }
-            let neighbours = adjacency.neighbours.of(triangle);
+            let neighbours = adjacency.of_triangle(triangle);
             let gain = |choice: &Choice| {
                 let same = |&&other: &&u32| frames[other as usize] == choice.frame;
                 let num_equal = neighbours.iter().filter(same).count();
@@ -714,7 +614,7 @@ mod tests {
         let adjacency = vec![[0, 1], [last, last + 1], [last + 2, last + 3]];
         let pairs = Adjacency::new(num, adjacency.clone());
         assert_eq!(pairs.pairs(), [adjacency[0], adjacency[2], adjacency[1]]);
-        assert_eq!(pairs.block_ends, [1, 2]);
+        assert_eq!(pairs.block_ends(), [1, 2]);
         let ranked = ranked_of(&scores, 2);
         let mut messages = Messages::<4>::new(&ranked, &pairs, 1.0);
         while messages.sweep() {}
@@ -730,13 +630,5 @@ mod tests {
         let frames: Vec<u32> = ranked.of(0).iter().map(|choice| choice.frame).collect();
         assert_eq!(frames, [5, 3]);
         assert_eq!(ranked.best_labels(), [Some(5), None]);
-    }
-
-    #[test]
-    fn pairs_share_an_edge() {
-        let triangles = [[0, 1, 2], [0, 2, 3], [2, 4, 3], [2, 0, 4], [1, 1, 2]];
-        let pairs = adjacent_pairs(&triangles);
-        // Edge 0–2 has three triangles, edge 1–2 two, edges 2–3 and 2–4 two each.
-        assert_eq!(pairs, [[0, 1], [0, 4], [1, 2], [1, 3], [2, 3]]);
     }
 }

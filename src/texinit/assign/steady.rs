@@ -5,7 +5,8 @@
 //! worth less than the best that were found by at most that times the number of triangles, and no patch
 //! of a frame is torn for it.
 
-use super::pairwise::{Adjacency, Ranked};
+use super::adjacency::Adjacency;
+use super::pairwise::Ranked;
 
 /// Rounds over all patches at most: what stays makes what is beside it worth more to stay.
 const MAX_ROUNDS: usize = 3;
@@ -87,7 +88,7 @@ impl Steadying<'_> {
             let mut next = 0;
             while let Some(&triangle) = found.get(next) {
                 next += 1;
-                for &other in self.adjacency.of_triangle(triangle) {
+                for &other in self.adjacency.of_triangle(triangle as usize) {
                     let patch = &mut patches.of_triangle[other as usize];
                     if *patch == NO_PATCH && change_of(other) == Some(change) {
                         *patch = number;
@@ -110,7 +111,7 @@ impl Steadying<'_> {
                 let score = label.and_then(|frame| self.ranked.score_of(triangle, frame));
                 f64::from(score.unwrap_or_default())
             };
-            let others = self.adjacency.of_triangle(triangle).iter();
+            let others = self.adjacency.of_triangle(triangle as usize).iter();
             let beside = others.filter(|other| patch_of[**other as usize] != own);
             let gain = |frame: Option<u32>| {
                 let equal = beside

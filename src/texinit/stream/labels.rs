@@ -3,10 +3,10 @@
 
 use crate::keyframe::FrameQuality;
 use crate::mesh::{TriMesh, TriangleId};
+use crate::texinit::assign::adjacency::Adjacency;
 use crate::texinit::assign::comparison::Comparison;
 use crate::texinit::assign::cues::FrameCandidates;
 use crate::texinit::assign::label::CandidateTable;
-use crate::texinit::assign::pairwise::Adjacency;
 use crate::texinit::assign::quality::TypicalQuality;
 use crate::texinit::assign::{AssignParams, Assignment};
 
