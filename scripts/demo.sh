@@ -23,7 +23,7 @@ fi
 out=${2:-out/$(basename "$source" .mcap)}
 
 cargo build --release --locked
-veneer=target/release/veneer
+veneer=${CARGO_TARGET_DIR:-target}/release/veneer
 if [ -d "$source" ]; then
     mkdir -p out
     bag=out/$(basename "$source").mcap
