@@ -400,6 +400,7 @@ fn snapshot(painted: &Painted, revision: u64) -> Snapshot<'_> {
         layout: &painted.layout,
         texture: &painted.texture,
         keyframes: &painted.keyframes,
+        chart_keys: painted.chart_keys.as_deref(),
     }
 }
 

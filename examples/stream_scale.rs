@@ -6,8 +6,8 @@
 //! ```
 //!
 //! All updates bring about as many triangles and keyframes; what was there before grows. A row has the
-//! triangles and keyframes of all rooms so far, the wall times of this room's updates in milliseconds,
-//! and the bytes that the state takes.
+//! triangles and keyframes of all rooms so far, the wall times of this room's updates in milliseconds and
+//! of making the messages for `textured_mesh` and for `markers` of them, and the bytes that the state takes.
 
 #![expect(
     clippy::print_stdout,
@@ -23,10 +23,11 @@ use nalgebra::{Point3, Vector3};
 use serde_json::json;
 use veneer::bag::BagReader;
 use veneer::config::Config;
-use veneer::geom::RigidTransform;
+use veneer::geom::{RigidTransform, Stamp};
 use veneer::keyframe::{Keyframe, KeyframeId};
 use veneer::mesh::TriMesh;
 use veneer::pipeline::{NoProgress, Scan, StageClock, gather};
+use veneer::publish::{OutputTopic, PublishParams, Publisher, Snapshot};
 use veneer::texinit::stream::StreamInit;
 use veneer::texinit::{Observer, Stage};
 
@@ -68,20 +69,46 @@ fn main() -> anyhow::Result<()> {
         let original = &scan.keyframes[(keyframe.id.0 % num_of_room) as usize];
         scan.decode(original)
     };
+    let params = PublishParams {
+        history_messages: usize::MAX,
+        ..config.publish
+    };
+    let mut publishers = [params; 2].map(Publisher::new);
+    let mut revision = 0;
     for room in 0..num_rooms {
-        let mut times_ms = Vec::new();
+        let [mut times_ms, mut blocks_ms, mut markers_ms] = [const { Vec::new() }; 3];
         for _ in 0..num_updates {
             rooms.go_on()?;
             let mesh = Arc::new(rooms.mesh()?);
-            let begun = Instant::now();
-            state.update(&mesh, &rooms.keyframes, &decode, &Silent)?;
-            times_ms.push((1e4 * begun.elapsed().as_secs_f64()).round() / 10.0);
+            times_ms.push(timed_ms(|| {
+                state.update(&mesh, &rooms.keyframes, &decode, &Silent)
+            })?);
+            revision += 1;
+            let chart_keys = state.chart_keys();
+            let snapshot = Snapshot {
+                stamp: Stamp::default(),
+                frame_id: "map",
+                session: 1,
+                revision,
+                mesh: state.mesh(),
+                layout: state.layout(),
+                texture: state.texture(),
+                keyframes: &rooms.keyframes,
+                chart_keys: Some(&chart_keys),
+            };
+            let topics = [OutputTopic::TexturedMesh, OutputTopic::Markers];
+            let times = [&mut blocks_ms, &mut markers_ms];
+            for ((topic, publisher), times) in topics.iter().zip(&mut publishers).zip(times) {
+                times.push(timed_ms(|| publisher.publish(&snapshot, &|t| t == *topic))?);
+            }
         }
         let row = json!({
             "room": room,
             "triangles": state.mesh().num_triangles(),
             "keyframes": rooms.keyframes.len(),
             "updates_ms": times_ms,
+            "textured_mesh_ms": blocks_ms,
+            "markers_ms": markers_ms,
             "charts": state.layout().charts.len(),
             "pages": state.layout().num_pages,
             "used_share": state.used_share(),
@@ -90,6 +117,13 @@ fn main() -> anyhow::Result<()> {
         println!("{row}");
     }
     Ok(())
+}
+
+/// Runs something; how long it took, milliseconds to a tenth.
+fn timed_ms<T, E>(run: impl FnOnce() -> Result<T, E>) -> Result<f64, E> {
+    let begun = Instant::now();
+    run()?;
+    Ok((1e4 * begun.elapsed().as_secs_f64()).round() / 10.0)
 }
 
 /// Copies of a room, and how much of them was seen.

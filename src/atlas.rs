@@ -4,6 +4,7 @@
 //! the first texel is (0.5, 0.5), v points down.
 
 pub mod cells;
+pub mod chart_key;
 pub mod gutter;
 pub mod layout;
 pub mod pack;
@@ -14,6 +15,7 @@ pub mod texels;
 pub mod texture;
 
 pub use cells::{CellMask, QuarterTurn};
+pub use chart_key::ChartKey;
 pub use gutter::{GutterReport, dilate_gutters};
 pub use layout::{AtlasLayout, ChartId, PlacedChart, TexelRect};
 pub use pack::allocator::{PageAllocator, Slot, SlotId};
@@ -23,4 +25,4 @@ pub use proof::num_shared_texels;
 pub use restrict::restrict;
 pub use spread::DensitySpread;
 pub use texels::{for_each_texel, for_each_texel_within};
-pub use texture::{AtlasTexture, TexelSource, TextureMismatch, TexturePage};
+pub use texture::{AtlasTexture, PageTrace, SharedPage, TexelSource, TextureMismatch, TexturePage};

@@ -30,9 +30,10 @@ mod scene;
 mod sent;
 mod viewer;
 
+use std::borrow::Cow;
 use std::sync::Arc;
 
-use crate::atlas::{AtlasLayout, AtlasTexture};
+use crate::atlas::{AtlasLayout, AtlasTexture, ChartKey};
 use crate::export::{ExportError, PageFormat, TexturedMesh};
 use crate::geom::Stamp;
 use crate::keyframe::Keyframe;
@@ -132,6 +133,9 @@ pub struct Snapshot<'a> {
     pub texture: &'a AtlasTexture,
     /// The frames that paint.
     pub keyframes: &'a [Arc<Keyframe>],
+    /// What stands for each of the layout's charts, where that is known; it is found out otherwise, which
+    /// takes a look at every triangle.
+    pub chart_keys: Option<&'a [ChartKey]>,
 }
 
 impl<'a> Snapshot<'a> {
@@ -141,6 +145,21 @@ impl<'a> Snapshot<'a> {
             frame_id: self.frame_id,
         }
     }
+
+    fn chart_keys(&self) -> Cow<'a, [ChartKey]> {
+        let known = self.chart_keys;
+        let known = known.filter(|keys| keys.len() == self.layout.charts.len());
+        match known {
+            Some(keys) => Cow::Borrowed(keys),
+            None => Cow::Owned(ChartKey::of_all(self.mesh, self.layout)),
+        }
+    }
+}
+
+/// What is shown, with what stands for its charts.
+struct Content<'a> {
+    textured: TexturedMesh<'a>,
+    keys: &'a [ChartKey],
 }
 
 /// How states become messages.
@@ -319,6 +338,8 @@ impl Publisher {
             return Ok(Vec::new());
         }
         let textured = TexturedMesh::new(snapshot.mesh, snapshot.layout, snapshot.texture)?;
+        let keys = &*snapshot.chart_keys();
+        let content = &Content { textured, keys };
         let params = &self.params;
         let mut outgoing = Vec::new();
         let textures = params.viewer_format;
@@ -327,17 +348,17 @@ impl Publisher {
             outgoing.extend(messages.map(|bytes| Outgoing { topic, bytes }));
         };
         if is_wanted(OutputTopic::TexturedMesh) {
-            let messages = self.blocks.publish(snapshot, &textured, params)?;
+            let messages = self.blocks.publish(snapshot, content, params)?;
             send(OutputTopic::TexturedMesh, messages);
         }
         if is_wanted(OutputTopic::Markers) {
             let format = MarkerFormat { snapshot, textures };
-            let messages = self.markers.publish(&format, snapshot, &textured, params)?;
+            let messages = self.markers.publish(&format, snapshot, content, params)?;
             send(OutputTopic::Markers, messages);
         }
         if is_wanted(OutputTopic::Scene) {
             let format = SceneFormat { snapshot, textures };
-            let messages = self.scene.publish(&format, snapshot, &textured, params)?;
+            let messages = self.scene.publish(&format, snapshot, content, params)?;
             send(OutputTopic::Scene, messages);
         }
         let [geometry, materials] =
@@ -345,7 +366,7 @@ impl Publisher {
         if geometry || materials {
             let (geometry, materials) =
                 self.meshes
-                    .publish(snapshot, &textured, params, [geometry, materials])?;
+                    .publish(snapshot, content, params, [geometry, materials])?;
             send(OutputTopic::MeshGeometry, geometry);
             send(OutputTopic::MeshMaterials, materials);
         }

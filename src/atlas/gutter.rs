@@ -59,7 +59,7 @@ pub(crate) fn dilate_gutters_of(
             };
             report.num_gutter_texels += gutter.copies.len();
             if let Some(page) = texture.pages.get_mut(chart.page as usize) {
-                gutter.paint(page);
+                gutter.paint(page.to_mut());
             }
         }
     }
@@ -284,7 +284,7 @@ mod tests {
             page.source[index] = TexelSource::keyframe(3);
             page.confidence[index] = 200;
         }
-        AtlasTexture { pages: vec![page] }
+        AtlasTexture::from_iter([page])
     }
 
     proptest! {

@@ -115,6 +115,15 @@ impl AtlasLayout {
         self.charts[self.chart_of_triangle[triangle.index()].index()].page
     }
 
+    /// The triangles of each chart, ascending, by [`Self::chart_of_triangle`].
+    pub fn triangles_by_chart(&self) -> Vec<Vec<TriangleId>> {
+        let mut by_chart = vec![Vec::new(); self.charts.len()];
+        for (triangle, chart) in (0_u32..).map(TriangleId).zip(&self.chart_of_triangle) {
+            by_chart[chart.index()].push(triangle);
+        }
+        by_chart
+    }
+
     /// A triangle's corners in [0, 1] of its page, v down.
     pub fn corners_uv(&self, triangle: TriangleId) -> [[f32; 2]; 3] {
         let [width, height] = self.page_size_texel.map(|side| side as f32);

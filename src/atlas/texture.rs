@@ -1,5 +1,8 @@
 //! The texels of the pages: colour, where it came from, and how far to trust it.
 
+use std::ops::Deref;
+use std::sync::{Arc, Weak};
+
 /// Where a texel's colour came from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct TexelSource(u32);
@@ -58,11 +61,61 @@ impl TexturePage {
     }
 }
 
-/// All pages of an atlas, in the order of [`super::AtlasLayout`].
+/// A page that others may hold, too. Holding one costs nothing; who writes it while others hold it writes a
+/// copy, and they keep what they have.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SharedPage(Arc<TexturePage>);
+
+impl SharedPage {
+    /// The page to be written; a copy where others hold it.
+    pub fn to_mut(&mut self) -> &mut TexturePage {
+        Arc::make_mut(&mut self.0)
+    }
+
+    /// Tells later whether it was written since.
+    pub fn trace(&self) -> PageTrace {
+        PageTrace(Arc::downgrade(&self.0))
+    }
+}
+
+impl From<TexturePage> for SharedPage {
+    fn from(page: TexturePage) -> Self {
+        Self(Arc::new(page))
+    }
+}
+
+impl Deref for SharedPage {
+    type Target = TexturePage;
+
+    fn deref(&self) -> &TexturePage {
+        &self.0
+    }
+}
+
+/// What a page was at some moment, without its texels: writing a page takes it away from its traces.
+#[derive(Clone, Debug)]
+pub struct PageTrace(Weak<TexturePage>);
+
+impl PageTrace {
+    /// Whether a page is the very one, not written since. Of equal pages only one is.
+    pub fn is_of(&self, page: &SharedPage) -> bool {
+        std::ptr::eq(self.0.as_ptr(), Arc::as_ptr(&page.0))
+    }
+}
+
+/// All pages of an atlas, in the order of [`super::AtlasLayout`]. A clone shares them.
 #[derive(Clone, Debug, PartialEq, Default)]
 pub struct AtlasTexture {
     /// The pages.
-    pub pages: Vec<TexturePage>,
+    pub pages: Vec<SharedPage>,
+}
+
+impl FromIterator<TexturePage> for AtlasTexture {
+    fn from_iter<I: IntoIterator<Item = TexturePage>>(pages: I) -> Self {
+        Self {
+            pages: pages.into_iter().map(SharedPage::from).collect(),
+        }
+    }
 }
 
 /// A texture that was not made for the layout it came with.
@@ -105,5 +158,32 @@ impl AtlasTexture {
             found_texel: wrong.map(|page| [page.width, page.height]),
             expected_texel,
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_written_page_is_another_and_who_holds_it_keeps_what_it_was() {
+        let mut texture: AtlasTexture = [TexturePage::blank(2, 1), TexturePage::blank(2, 1)]
+            .into_iter()
+            .collect();
+        let traces: Vec<PageTrace> = texture.pages.iter().map(SharedPage::trace).collect();
+        assert!(traces[0].is_of(&texture.pages[0]));
+        assert!(!traces[0].is_of(&texture.pages[1]), "equal, but another");
+        let held = texture.clone();
+        texture.pages[0].to_mut().srgb[1] = [7; 3];
+        assert_eq!(held.pages[0].srgb, [[0; 3]; 2]);
+        assert_eq!(texture.pages[0].srgb, [[0; 3], [7; 3]]);
+        assert!(traces[0].is_of(&held.pages[0]) && !traces[0].is_of(&texture.pages[0]));
+        assert!(traces[1].is_of(&held.pages[1]) && traces[1].is_of(&texture.pages[1]));
+        // Nobody else holds it: it is written in place, and no longer what was traced.
+        let trace = texture.pages[0].trace();
+        let place = texture.pages[0].srgb.as_ptr();
+        texture.pages[0].to_mut().srgb[0] = [8; 3];
+        assert_eq!(texture.pages[0].srgb.as_ptr(), place);
+        assert!(!trace.is_of(&texture.pages[0]));
     }
 }

@@ -180,9 +180,7 @@ mod tests {
                 *texel = [x * 3, y * 3, 90];
             }
         }
-        AtlasTexture {
-            pages: vec![page.clone(), page],
-        }
+        AtlasTexture::from_iter([page.clone(), page])
     }
 
     #[test]
@@ -224,9 +222,7 @@ mod tests {
 
     #[test]
     fn an_empty_page_is_an_error_with_its_number() {
-        let texture = AtlasTexture {
-            pages: vec![TexturePage::blank(0, 0)],
-        };
+        let texture = AtlasTexture::from_iter([TexturePage::blank(0, 0)]);
         for format in [PageFormat::Png, PageFormat::Jpeg { quality: 80 }] {
             let error = EncodedPages::encode(&texture, format).unwrap_err();
             assert!(error.to_string().starts_with("page 0 of 0x0"), "{error}");

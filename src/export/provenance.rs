@@ -124,12 +124,10 @@ mod tests {
 
     #[test]
     fn saturation_is_noted() {
-        let mut texture = AtlasTexture {
-            pages: vec![TexturePage::blank(2, 1)],
-        };
-        texture.pages[0].source[0] = TexelSource::keyframe(65519);
+        let mut texture = AtlasTexture::from_iter([TexturePage::blank(2, 1)]);
+        texture.pages[0].to_mut().source[0] = TexelSource::keyframe(65519);
         assert!(notes(&texture).is_empty());
-        texture.pages[0].source[1] = TexelSource::keyframe(70_000);
+        texture.pages[0].to_mut().source[1] = TexelSource::keyframe(70_000);
         assert!(notes(&texture)[0].contains("70000"));
     }
 }

@@ -47,9 +47,7 @@ pub(super) fn two_pages() -> (TriMesh, AtlasLayout, AtlasTexture) {
         page.srgb.fill(srgb);
         page
     };
-    let texture = AtlasTexture {
-        pages: vec![page([200, 10, 10]), page([10, 10, 200])],
-    };
+    let texture = AtlasTexture::from_iter([page([200, 10, 10]), page([10, 10, 200])]);
     (mesh, layout, texture)
 }
 
@@ -242,7 +240,7 @@ proptest! {
                 .map(|t| [corner(3 * t), corner(3 * t + 1), corner(3 * t + 2)])
                 .collect(),
         };
-        let texture = AtlasTexture { pages: vec![TexturePage::blank(16, 16); 3] };
+        let texture = AtlasTexture::from_iter(vec![TexturePage::blank(16, 16); 3]);
         let textured = TexturedMesh::new(&mesh, &layout, &texture).unwrap();
         let parts = split::split_by_page(&textured, split::Sharing::ByUv);
         let mut seen = 0;

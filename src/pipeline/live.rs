@@ -23,7 +23,7 @@ use super::run::{PipelineError, PipelineParams, StageTime};
 use super::scan::{Scan, prepared_mesh};
 use super::stream::{StreamPainter, Streamed};
 use super::texture::{Textured, texture_scan};
-use crate::atlas::{AtlasLayout, AtlasTexture};
+use crate::atlas::{AtlasLayout, AtlasTexture, ChartKey};
 use crate::geom::Stamp;
 use crate::ingest::{Assembled, Assembler, IngestReport, MeshBlocks, TimedEvent};
 use crate::keyframe::quality;
@@ -216,11 +216,13 @@ pub struct Painted {
     /// What was painted.
     pub capture: Capture,
     /// The mesh in the world frame, welded and subdivided; what the texture is for.
-    pub mesh: TriMesh,
+    pub mesh: Arc<TriMesh>,
     /// Where its triangles lie.
-    pub layout: AtlasLayout,
-    /// The pages. Sources name keyframes by their ids.
+    pub layout: Arc<AtlasLayout>,
+    /// The pages, which may be shared with the painter. Sources name keyframes by their ids.
     pub texture: AtlasTexture,
+    /// What stands for the charts of the layout, where that is known.
+    pub chart_keys: Option<Vec<ChartKey>>,
     /// The keyframes that painted, their poses corrected where that was asked for.
     pub keyframes: Vec<Arc<Keyframe>>,
     /// What changed since the capture before, where only that was painted.
@@ -306,9 +308,10 @@ impl Painter {
         params.region.keep_own_of(&mut mesh, &mut texinit);
         Ok(Painted {
             capture,
-            mesh,
-            layout: texinit.layout,
+            mesh: Arc::new(mesh),
+            layout: Arc::new(texinit.layout),
             texture: texinit.texture,
+            chart_keys: None,
             keyframes,
             update: None,
             memory,
@@ -389,13 +392,19 @@ impl Painter {
         let (Some(state), Some(texture)) = (self.stream.state(), self.stream.texture()) else {
             return Err(PipelineError::NoMesh("nothing is painted".to_owned()));
         };
-        let mut mesh = state.mesh().clone();
-        let (mut layout, mut texture) = (state.layout().clone(), texture.clone());
-        params.region.keep_own(&mut mesh, &mut layout, &mut texture);
+        let (mut mesh, mut layout) = (Arc::clone(state.mesh()), Arc::clone(state.layout()));
+        let mut texture = texture.clone();
+        let mut chart_keys = Some(state.chart_keys());
+        if params.region.region.is_some() {
+            let (mesh, layout) = (Arc::make_mut(&mut mesh), Arc::make_mut(&mut layout));
+            params.region.keep_own(mesh, layout, &mut texture);
+            chart_keys = None;
+        }
         Ok(Painted {
             mesh,
             layout,
             texture,
+            chart_keys,
             keyframes: streamed.keyframes,
             update: Some(streamed.update),
             memory,

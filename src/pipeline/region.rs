@@ -84,7 +84,7 @@ impl RegionParams {
             if chart.triangles.iter().any(|&triangle| is_own(triangle)) {
                 continue;
             }
-            let page = &mut texture.pages[chart.page as usize];
+            let page = texture.pages[chart.page as usize].to_mut();
             for (row, first, len) in chart.own_spans() {
                 let start = (row * page.width + first) as usize;
                 let span = start..start + len as usize;

@@ -3,12 +3,12 @@
 mod charts;
 mod tiles;
 
-use crate::export::TexturedMesh;
 use crate::wire::textured_mesh_block::{TextureTile, TexturedChart};
 use crate::wire::{Message, TexturedMeshBlock};
 
 use super::sent::Sent;
-use super::{PublishError, PublishParams, Snapshot};
+use super::{Content, PublishError, PublishParams, Snapshot};
+use charts::KnownParts;
 use tiles::Tiles;
 
 /// What readers hold.
@@ -17,6 +17,7 @@ pub(super) struct Blocks {
     /// The last revision that went out; `None` when readers hold nothing.
     base: Option<Base>,
     charts: Sent<()>,
+    parts: KnownParts,
     tiles: Tiles,
     num_since_whole: usize,
 }
@@ -69,13 +70,13 @@ impl Blocks {
     pub(super) fn publish(
         &mut self,
         snapshot: &Snapshot<'_>,
-        textured: &TexturedMesh<'_>,
+        content: &Content<'_>,
         params: &PublishParams,
     ) -> Result<Vec<Vec<u8>>, PublishError> {
         let next = Base::of(snapshot);
         let base = self.base.take().filter(|base| base.can_become(&next));
         if let Some(base) = &base {
-            let messages = self.publish_change(base, snapshot, textured, params)?;
+            let messages = self.publish_change(base, snapshot, content, params)?;
             let num_kept = self.num_since_whole + messages.len();
             if num_kept <= params.history_messages {
                 if messages.is_empty() {
@@ -89,7 +90,7 @@ impl Blocks {
         }
         self.charts.clear();
         self.tiles.clear();
-        let revision = self.revision(textured, params, room(snapshot, params)?)?;
+        let revision = self.revision(content, params, room(snapshot, params)?)?;
         let messages = packed(snapshot, 0, revision, params)?;
         self.num_since_whole = messages.len();
         self.base = Some(next);
@@ -100,10 +101,10 @@ impl Blocks {
         &mut self,
         base: &Base,
         snapshot: &Snapshot<'_>,
-        textured: &TexturedMesh<'_>,
+        content: &Content<'_>,
         params: &PublishParams,
     ) -> Result<Vec<Vec<u8>>, PublishError> {
-        let revision = self.revision(textured, params, room(snapshot, params)?)?;
+        let revision = self.revision(content, params, room(snapshot, params)?)?;
         let is_change = !revision.removed_chart_ids.is_empty()
             || !revision.charts.is_empty()
             || !revision.tiles.is_empty()
@@ -123,21 +124,26 @@ impl Blocks {
 
     fn revision(
         &mut self,
-        textured: &TexturedMesh<'_>,
+        content: &Content<'_>,
         params: &PublishParams,
         room: usize,
     ) -> Result<Revision<'static>, PublishError> {
-        let all = charts::all(textured, room).into_iter();
+        let is_sent = |digest| self.charts.contains(digest);
+        let all = self.parts.all(content, room, &is_sent).into_iter();
         let change = self
             .charts
             .change(all.map(|(digest, chart)| (digest, (), chart)).collect())?;
-        let charts = change.added.into_iter();
+        // What is not built was sent.
+        let built = |(id, chart): (u32, Option<TexturedChart>)| Some((id, chart?));
+        let charts = change.added.into_iter().filter_map(built);
         Ok(Revision {
             removed_chart_ids: change.removed.into_iter().map(|(id, ())| id).collect(),
             charts: charts
                 .map(|(id, chart)| TexturedChart { id, ..chart })
                 .collect(),
-            tiles: self.tiles.changed(textured.texture(), params, room)?,
+            tiles: self
+                .tiles
+                .changed(content.textured.texture(), params, room)?,
         })
     }
 }

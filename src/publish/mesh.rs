@@ -17,8 +17,8 @@ use crate::wire::{
 };
 
 use super::digest::Digest;
-use super::pieces::{self, CutPiece, Piece, TooLarge};
-use super::{PublishError, PublishParams, Snapshot, crop};
+use super::pieces::{CutPiece, Piece, Pieces};
+use super::{Content, PublishError, PublishParams, Snapshot, crop};
 
 /// A mesh of mesh_msgs: shape, look and texture, each short enough for a message.
 #[derive(Clone, Debug, PartialEq)]
@@ -44,11 +44,12 @@ pub fn mesh_pieces(
 ) -> Result<Vec<MeshPiece>, PublishError> {
     params.check()?;
     let textured = TexturedMesh::new(snapshot.mesh, snapshot.layout, snapshot.texture)?;
+    let keys = &*snapshot.chart_keys();
     let cut = cut(
         snapshot,
-        &textured,
+        &Content { textured, keys },
         params,
-        &mut TooLarge::default(),
+        &mut Pieces::default(),
         &|_| false,
     )?;
     Ok(cut.into_iter().filter_map(|(_, _, piece)| piece).collect())
@@ -228,13 +229,13 @@ const UUID_BYTES: usize = 7 + 32;
 
 fn cut(
     snapshot: &Snapshot<'_>,
-    textured: &TexturedMesh<'_>,
+    content: &Content<'_>,
     params: &PublishParams,
-    too_large: &mut TooLarge,
+    pieces: &mut Pieces,
     is_known: &(dyn Fn(Digest) -> bool + Sync),
 ) -> Result<Vec<CutPiece<MeshPiece>>, PublishError> {
     let header = snapshot.header();
-    pieces::cut(textured, params, too_large, is_known, &|piece, page| {
+    pieces.cut(content, params, is_known, &|piece, page| {
         let num_texels = piece.crop.width as usize * piece.crop.height as usize;
         if num_texels * 3 > params.max_message_bytes {
             return Ok(None);
@@ -255,7 +256,7 @@ pub(super) struct Meshes {
     frame_id: String,
     geometry: Held,
     materials: Held,
-    too_large: TooLarge,
+    pieces: Pieces,
 }
 
 #[derive(Debug, Default)]
@@ -293,7 +294,7 @@ impl Meshes {
     pub(super) fn publish(
         &mut self,
         snapshot: &Snapshot<'_>,
-        textured: &TexturedMesh<'_>,
+        content: &Content<'_>,
         params: &PublishParams,
         [geometry, materials]: [bool; 2],
     ) -> Result<Both, PublishError> {
@@ -302,7 +303,7 @@ impl Meshes {
             self.materials.forget();
             snapshot.frame_id.clone_into(&mut self.frame_id);
         }
-        let mut cut = self.cut_unknown(snapshot, textured, params, [geometry, materials])?;
+        let mut cut = self.cut_unknown(snapshot, content, params, [geometry, materials])?;
         let num_built = cut.iter().filter(|(_, _, piece)| piece.is_some()).count();
         let overflows = |held: &Held| {
             !held.digests.is_empty() && held.num_since_whole + num_built > params.history_messages
@@ -318,7 +319,7 @@ impl Meshes {
             if is_whole[1] {
                 self.materials.forget();
             }
-            cut = self.cut_unknown(snapshot, textured, params, [geometry, materials])?;
+            cut = self.cut_unknown(snapshot, content, params, [geometry, materials])?;
         }
         let header = snapshot.header();
         let mut messages: Both = (Vec::new(), Vec::new());
@@ -347,7 +348,7 @@ impl Meshes {
     fn cut_unknown(
         &mut self,
         snapshot: &Snapshot<'_>,
-        textured: &TexturedMesh<'_>,
+        content: &Content<'_>,
         params: &PublishParams,
         [geometry, materials]: [bool; 2],
     ) -> Result<Vec<CutPiece<MeshPiece>>, PublishError> {
@@ -356,6 +357,6 @@ impl Meshes {
             (!geometry || held_geometry.contains(&digest))
                 && (!materials || held_materials.contains(&digest))
         };
-        cut(snapshot, textured, params, &mut self.too_large, &is_known)
+        cut(snapshot, content, params, &mut self.pieces, &is_known)
     }
 }

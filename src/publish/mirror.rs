@@ -429,9 +429,7 @@ impl Mirror {
             srgb: srgb.clone(),
             ..TexturePage::blank(width, height)
         });
-        let texture = AtlasTexture {
-            pages: pages.collect(),
-        };
+        let texture = pages.collect();
         Ok((mesh, layout, texture))
     }
 }

@@ -10,12 +10,12 @@ use std::collections::BTreeSet;
 
 use rayon::prelude::*;
 
-use crate::atlas::{TexelRect, TexturePage};
+use crate::atlas::{PageTrace, TexelRect, TexturePage};
 use crate::export::{ExportError, TexturedMesh};
 
 use super::digest::{Digest, Digester};
 use super::sent::Change;
-use super::{PublishError, PublishParams, crop};
+use super::{Content, PublishError, PublishParams, crop};
 
 /// Texels around the triangles that filtering may reach.
 const MARGIN_TEXEL: u32 = 2;
@@ -151,9 +151,19 @@ fn names(removed: Vec<(u32, Place)>) -> Vec<u32> {
 pub(super) type Build<'a, T> =
     dyn Fn(&Piece, &TexturePage) -> Result<Option<T>, PublishError> + Sync + 'a;
 
-/// Pieces that were found too large, so that they need not be built again.
-#[derive(Clone, Debug, Default)]
-pub(super) struct TooLarge(BTreeSet<Digest>);
+/// The pieces that were cut last, page by page: where a page is as it was, so are they.
+#[derive(Debug, Default)]
+pub(super) struct Pieces(Vec<CutPage>);
+
+/// A page and its pieces.
+#[derive(Debug, Default)]
+struct CutPage {
+    /// `None` where they are those of no page.
+    of: Option<(PageTrace, Digest)>,
+    pieces: Vec<(Digest, Place)>,
+    /// What was found too large for a piece, so that it need not be built again.
+    too_large: BTreeSet<Digest>,
+}
 
 impl PieceTriangle {
     /// Where its centre lies on the page.
@@ -306,43 +316,89 @@ enum Judged<T> {
 /// Smaller rectangles are not divided; their triangles are, by number.
 const SMALLEST_REGION_TEXEL: f32 = 0.25;
 
-/// Cuts the mesh into pieces for which `build` gives something. Of pieces that `is_known` nothing is
-/// built. The order depends on the input only.
-///
-/// # Errors
-/// What `build` fails with, and [`PublishError::DoesNotFit`] when a small triangle does not fit.
-pub(super) fn cut<T: Send>(
-    textured: &TexturedMesh<'_>,
-    params: &PublishParams,
-    too_large: &mut TooLarge,
-    is_known: &(dyn Fn(Digest) -> bool + Sync),
-    build: &Build<'_, T>,
-) -> Result<Vec<CutPiece<T>>, PublishError> {
-    let mut nodes = roots(textured);
-    let mut pieces = Vec::new();
-    let mut found_too_large = BTreeSet::new();
-    while !nodes.is_empty() {
-        let judged: Vec<Result<Judged<T>, PublishError>> = nodes
-            .into_par_iter()
-            .map(|node| judge(node, textured, params, too_large, is_known, build))
-            .collect();
-        nodes = Vec::new();
-        for result in judged {
-            match result? {
-                Judged::Piece(piece) => pieces.push(piece),
-                Judged::TooLarge(digest, node) => {
-                    found_too_large.insert(digest);
-                    divide(node, params, &mut nodes)?;
+impl Pieces {
+    /// Cuts the mesh into pieces for which `build` gives something, page by page. Of pieces that `is_known`
+    /// nothing is built. The order within a page depends on it only.
+    ///
+    /// # Errors
+    /// What `build` fails with, and [`PublishError::DoesNotFit`] when a small triangle does not fit.
+    pub(super) fn cut<T: Send>(
+        &mut self,
+        content: &Content<'_>,
+        params: &PublishParams,
+        is_known: &(dyn Fn(Digest) -> bool + Sync),
+        build: &Build<'_, T>,
+    ) -> Result<Vec<CutPiece<T>>, PublishError> {
+        let textured = &content.textured;
+        let mut before = std::mem::take(&mut self.0);
+        before.resize_with(textured.texture().pages.len(), CutPage::default);
+        let pages = textured.texture().pages.iter().zip(charts_by_page(content));
+        let mut cut: Vec<Vec<CutPiece<T>>> = Vec::with_capacity(before.len());
+        let mut is_as_it_was = Vec::with_capacity(before.len());
+        for ((page, charts), before) in pages.zip(&mut before) {
+            let is_same =
+                matches!(&before.of, Some((trace, of)) if trace.is_of(page) && *of == charts);
+            let is_same = is_same && before.pieces.iter().all(|(digest, _)| is_known(*digest));
+            before.of = Some((page.trace(), charts));
+            is_as_it_was.push(is_same);
+            let known = before.pieces.iter().filter(|_| is_same);
+            cut.push(
+                known
+                    .map(|&(digest, place)| (digest, place, None))
+                    .collect(),
+            );
+        }
+        let mut nodes = roots(textured, &is_as_it_was);
+        let mut too_large: Vec<BTreeSet<Digest>> = vec![BTreeSet::new(); before.len()];
+        while !nodes.is_empty() {
+            let judged: Vec<Result<Judged<T>, PublishError>> = nodes
+                .into_par_iter()
+                .map(|node| {
+                    let too_large = &before[node.page as usize].too_large;
+                    judge(node, textured, params, too_large, is_known, build)
+                })
+                .collect();
+            nodes = Vec::new();
+            for result in judged {
+                match result? {
+                    Judged::Piece(piece) => cut[piece.1.page as usize].push(piece),
+                    Judged::TooLarge(digest, node) => {
+                        too_large[node.page as usize].insert(digest);
+                        divide(node, params, &mut nodes)?;
+                    }
+                    Judged::FarTooLarge(node) => divide(node, params, &mut nodes)?,
                 }
-                Judged::FarTooLarge(node) => divide(node, params, &mut nodes)?,
             }
         }
+        let found = cut.iter().zip(too_large).zip(is_as_it_was);
+        for (before, ((cut, too_large), is_as_it_was)) in before.iter_mut().zip(found) {
+            if !is_as_it_was {
+                before.pieces = cut
+                    .iter()
+                    .map(|&(digest, place, _)| (digest, place))
+                    .collect();
+                before.too_large = too_large;
+            }
+        }
+        self.0 = before;
+        Ok(cut.into_iter().flatten().collect())
     }
-    too_large.0 = found_too_large;
-    Ok(pieces)
 }
 
-fn roots(textured: &TexturedMesh<'_>) -> Vec<Node> {
+/// What stands for the charts of each page.
+fn charts_by_page(content: &Content<'_>) -> Vec<Digest> {
+    let layout = content.textured.layout();
+    let mut digesters: Vec<Digester> = (0..layout.num_pages).map(|_| Digester::new()).collect();
+    for (placed, key) in layout.charts.iter().zip(content.keys) {
+        if let Some(digester) = digesters.get_mut(placed.page as usize) {
+            digester.bytes(&key.to_le_bytes());
+        }
+    }
+    digesters.iter().map(Digester::finish).collect()
+}
+
+/// All triangles of each page that is not as it was.
+fn roots(textured: &TexturedMesh<'_>, is_as_it_was: &[bool]) -> Vec<Node> {
     let layout = textured.layout();
     let [width, height] = layout.page_size_texel;
     // Powers of two, so that the middles stay where they are when a page grows taller.
@@ -357,13 +413,18 @@ fn roots(textured: &TexturedMesh<'_>) -> Vec<Node> {
             triangles: Vec::new(),
         })
         .collect();
+    if !is_as_it_was.contains(&false) {
+        return Vec::new();
+    }
     for triangle in textured.mesh().triangle_ids() {
-        roots[layout.page_of(triangle) as usize]
-            .triangles
-            .push(PieceTriangle {
-                corners_m: textured.mesh().corners_m(triangle).map(Into::into),
-                corners_texel: layout.corners_texel[triangle.index()],
-            });
+        let page = layout.page_of(triangle) as usize;
+        if is_as_it_was[page] {
+            continue;
+        }
+        roots[page].triangles.push(PieceTriangle {
+            corners_m: textured.mesh().corners_m(triangle).map(Into::into),
+            corners_texel: layout.corners_texel[triangle.index()],
+        });
     }
     roots.retain(|root| !root.triangles.is_empty());
     roots
@@ -378,7 +439,7 @@ fn judge<T>(
     node: Node,
     textured: &TexturedMesh<'_>,
     params: &PublishParams,
-    too_large: &TooLarge,
+    too_large: &BTreeSet<Digest>,
     is_known: &(dyn Fn(Digest) -> bool + Sync),
     build: &Build<'_, T>,
 ) -> Result<Judged<T>, PublishError> {
@@ -398,7 +459,7 @@ fn judge<T>(
     if is_known(digest) {
         return Ok(Judged::Piece((digest, place, None)));
     }
-    if !too_large.0.contains(&digest)
+    if !too_large.contains(&digest)
         && let Some(built) = build(&piece, page)?
     {
         return Ok(Judged::Piece((digest, place, Some(built))));

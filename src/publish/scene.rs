@@ -4,7 +4,9 @@
 //! the other way, as glTF wants. An entity of a name replaces the one before; what changes gets a new
 //! name here, so that who comes late can follow from any whole state on.
 
-use crate::atlas::{AtlasLayout, AtlasTexture, ChartId, PlacedChart, TexelRect, TexturePage};
+use crate::atlas::{
+    AtlasLayout, AtlasTexture, ChartId, PlacedChart, SharedPage, TexelRect, TexturePage,
+};
 use crate::export::{EncodedPages, ExportError, NormalMode, PageFormat, TexturedMesh, glb};
 use crate::geom::Stamp;
 use crate::mesh::TriMesh;
@@ -144,10 +146,10 @@ fn piece_glb(
             .collect(),
     };
     let texture = AtlasTexture {
-        pages: vec![TexturePage {
+        pages: vec![SharedPage::from(TexturePage {
             srgb: crop::texels(page, &piece.crop),
             ..TexturePage::blank(width, height)
-        }],
+        })],
     };
     let textured = TexturedMesh::new(&mesh, &layout, &texture)?;
     let pages = EncodedPages::encode(&texture, format)?;

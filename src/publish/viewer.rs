@@ -2,11 +2,10 @@
 //! new ones, and a message that deletes all begins each whole state.
 
 use crate::atlas::TexturePage;
-use crate::export::TexturedMesh;
 
-use super::pieces::{self, Piece, Place, Step, TooLarge};
+use super::pieces::{self, Piece, Pieces, Place, Step};
 use super::sent::Sent;
-use super::{PublishError, PublishParams, Snapshot};
+use super::{Content, PublishError, PublishParams, Snapshot};
 
 /// How pieces become messages for one kind of viewer.
 pub(super) trait Format: Sync {
@@ -34,7 +33,7 @@ pub(super) trait Format: Sync {
 pub(super) struct Held {
     scene: Option<(u64, String)>,
     sent: Sent<Place>,
-    too_large: TooLarge,
+    pieces: Pieces,
     num_since_whole: usize,
 }
 
@@ -54,12 +53,12 @@ impl Held {
         &mut self,
         format: &F,
         snapshot: &Snapshot<'_>,
-        textured: &TexturedMesh<'_>,
+        content: &Content<'_>,
         params: &PublishParams,
     ) -> Result<Vec<Vec<u8>>, PublishError> {
         let now = Some((snapshot.session, snapshot.frame_id.to_owned()));
         if self.scene == now {
-            let messages = self.publish_change(format, textured, params)?;
+            let messages = self.publish_change(format, content, params)?;
             let num_kept = self.num_since_whole + messages.len();
             if num_kept <= params.history_messages {
                 self.num_since_whole = num_kept;
@@ -68,7 +67,7 @@ impl Held {
         }
         self.sent.clear();
         let mut messages = vec![params.checked(F::WHAT, format.deletion_of_all())?];
-        messages.extend(self.publish_change(format, textured, params)?);
+        messages.extend(self.publish_change(format, content, params)?);
         self.scene = now;
         self.num_since_whole = messages.len();
         Ok(messages)
@@ -77,16 +76,15 @@ impl Held {
     fn publish_change<F: Format>(
         &mut self,
         format: &F,
-        textured: &TexturedMesh<'_>,
+        content: &Content<'_>,
         params: &PublishParams,
     ) -> Result<Vec<Vec<u8>>, PublishError> {
         let max_bytes = params.max_message_bytes;
         let length = |step: &Step<F::Built>| format.message(std::slice::from_ref(step)).len();
         let sent = &self.sent;
-        let cut = pieces::cut(
-            textured,
+        let cut = self.pieces.cut(
+            content,
             params,
-            &mut self.too_large,
             &|digest| sent.contains(digest),
             &|piece, page| {
                 let step = Step {

@@ -328,7 +328,7 @@ mod tests {
             *texel = [(2 * (index % 104)) as u8, (2 * (index / 104)) as u8, 9];
         }
         page.source.fill(TexelSource::keyframe(0));
-        (mesh, layout, AtlasTexture { pages: vec![page] })
+        (mesh, layout, AtlasTexture::from_iter([page]))
     }
 
     fn camera() -> PinholeCamera {
@@ -377,7 +377,7 @@ mod tests {
     #[test]
     fn unpainted_texels_are_not_in_the_mask() {
         let (mesh, layout, mut texture) = square(0.0);
-        for (index, source) in texture.pages[0].source.iter_mut().enumerate() {
+        for (index, source) in texture.pages[0].to_mut().source.iter_mut().enumerate() {
             if index % 104 < 52 {
                 *source = TexelSource::NONE;
             }

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
-use crate::atlas::{DensitySpread, PlacedChart, TexelSource, TexturePage};
+use crate::atlas::{DensitySpread, PlacedChart, SharedPage, TexelSource};
 use crate::export::TexturedMesh;
 use crate::mesh::{TriMesh, TriangleId};
 use crate::metrics::{PixelError, SsimChannels, ssim};
@@ -31,7 +31,7 @@ pub struct SourceTally {
 
 impl SourceTally {
     /// Counts every texel of every page.
-    pub fn of(pages: &[TexturePage]) -> Self {
+    pub fn of(pages: &[SharedPage]) -> Self {
         let mut tally = Self::default();
         for page in pages {
             let width = (page.width as usize).max(1);

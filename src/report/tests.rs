@@ -48,7 +48,7 @@ fn square() -> (TriMesh, AtlasLayout, AtlasTexture) {
             };
         }
     }
-    (mesh, layout, AtlasTexture { pages: vec![page] })
+    (mesh, layout, AtlasTexture::from_iter([page]))
 }
 
 fn view() -> ReportView {
@@ -138,7 +138,7 @@ fn measures_what_was_painted() {
 #[test]
 fn what_is_wrong_is_said() {
     let (mesh, layout, mut texture) = square();
-    for source in &mut texture.pages[0].source {
+    for source in &mut texture.pages[0].to_mut().source {
         *source = TexelSource::NONE;
     }
     let textured = TexturedMesh::new(&mesh, &layout, &texture).unwrap();

@@ -24,6 +24,7 @@ use super::journal::{JournalSlot, JournalThread};
 use super::source::{LiveSource, Polled};
 use painting::paint;
 
+mod coverage;
 mod painting;
 
 /// How long ingest sleeps at a time.
@@ -111,6 +112,7 @@ impl Painting {
             layout: &painted.layout,
             texture: &painted.texture,
             keyframes: &painted.keyframes,
+            chart_keys: painted.chart_keys.as_deref(),
         }
     }
 }

@@ -56,7 +56,7 @@ impl GroundTruth {
         for ((page, rect), texels) in placement.slots.iter().zip(charts) {
             blit(&mut pages[*page as usize], rect, &texels);
         }
-        Ok((mesh, layout, AtlasTexture { pages }))
+        Ok((mesh, layout, pages.into_iter().collect()))
     }
 }
 

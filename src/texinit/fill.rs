@@ -401,6 +401,10 @@ impl Filling<'_> {
                 let Some(page) = texture.pages.get_mut(chart.page as usize) else {
                     continue;
                 };
+                if filled.is_empty() {
+                    continue;
+                }
+                let page = page.to_mut();
                 for (index, srgb) in filled {
                     page.srgb[index] = srgb.unwrap_or(params.neutral_srgb);
                     page.source[index] = TexelSource::DIFFUSED;

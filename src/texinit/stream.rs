@@ -47,7 +47,7 @@ mod workspaces;
 
 use std::sync::Arc;
 
-use crate::atlas::{AtlasLayout, AtlasTexture, ChartPlacer, PackError, TexelRect};
+use crate::atlas::{AtlasLayout, AtlasTexture, ChartKey, ChartPlacer, PackError, TexelRect};
 use crate::keyframe::Keyframe;
 use crate::mesh::{DiffCounts, DiffError, DiffParams, TrackedMesh, TriMesh, TriangleId};
 use crate::render::{MeshRuns, VisibilityParams};
@@ -185,9 +185,9 @@ pub struct StreamInit {
     stream: StreamParams,
     /// The mesh as it is given.
     tracked: TrackedMesh,
-    mesh: TriMesh,
+    mesh: Arc<TriMesh>,
     runs: MeshRuns,
-    layout: AtlasLayout,
+    layout: Arc<AtlasLayout>,
     texture: AtlasTexture,
     /// Ascending by id, in the order of the layout.
     charts: Vec<StreamChart>,
@@ -227,9 +227,9 @@ impl StreamInit {
         let mesh = TriMesh::default();
         Ok(Self {
             runs: MeshRuns::new(&mesh),
-            layout: charts::layout_of(&[], None, 0),
+            layout: Arc::new(charts::layout_of(&[], None, 0)),
             tracked: TrackedMesh::new(&stream.diff)?,
-            mesh,
+            mesh: Arc::new(mesh),
             texture: AtlasTexture::default(),
             charts: Vec::new(),
             next_chart: 0,
@@ -387,10 +387,10 @@ impl StreamInit {
     /// Forgets all.
     fn clear(&mut self) {
         self.tracked.clear();
-        self.mesh = TriMesh::default();
+        self.mesh = Arc::default();
         self.runs = MeshRuns::new(&self.mesh);
         self.charts.clear();
-        self.layout = charts::layout_of(&[], None, 0);
+        self.layout = Arc::new(charts::layout_of(&[], None, 0));
         self.texture = AtlasTexture::default();
         self.placer = None;
         self.has_density = false;
@@ -401,17 +401,21 @@ impl StreamInit {
     }
 
     /// The mesh, in the order of the charts.
-    pub fn mesh(&self) -> &TriMesh {
+    pub fn mesh(&self) -> &Arc<TriMesh> {
         &self.mesh
     }
 
     /// The mesh, where its triangles lie, and the pages; all else is forgotten.
     pub fn into_parts(self) -> (TriMesh, AtlasLayout, AtlasTexture) {
-        (self.mesh, self.layout, self.texture)
+        (
+            Arc::unwrap_or_clone(self.mesh),
+            Arc::unwrap_or_clone(self.layout),
+            self.texture,
+        )
     }
 
     /// Where its triangles lie.
-    pub fn layout(&self) -> &AtlasLayout {
+    pub fn layout(&self) -> &Arc<AtlasLayout> {
         &self.layout
     }
 
@@ -423,6 +427,11 @@ impl StreamInit {
     /// The charts of the layout, by their lasting names.
     pub fn chart_ids(&self) -> impl Iterator<Item = StreamChartId> {
         self.charts.iter().map(|chart| chart.id)
+    }
+
+    /// What stands for the charts of the layout.
+    pub fn chart_keys(&self) -> Vec<ChartKey> {
+        self.charts.iter().filter_map(|chart| chart.key).collect()
     }
 
     /// Which keyframe paints each triangle; labels are the numbers of keyframes

@@ -28,7 +28,7 @@ mod sampler;
 
 use std::sync::Arc;
 
-use crate::atlas::{AtlasLayout, AtlasTexture, TexturePage};
+use crate::atlas::{AtlasLayout, AtlasTexture, SharedPage, TexturePage};
 use crate::geom::ImageError;
 use crate::keyframe::{DecodedFrame, Keyframe};
 use crate::mesh::{TriMesh, TriangleId};
@@ -118,8 +118,8 @@ pub(crate) fn transfer_poses(
 ) -> Result<(AtlasTexture, TransferReport), TransferError> {
     check(mesh, layout, assignment, frames.len())?;
     let [width, height] = layout.page_size_texel;
-    let mut pages: Vec<TexturePage> = (0..layout.num_pages)
-        .map(|_| TexturePage::blank(width, height))
+    let mut pages: Vec<SharedPage> = (0..layout.num_pages)
+        .map(|_| TexturePage::blank(width, height).into())
         .collect();
     let is_assigned = params.mode == TransferMode::Assigned;
     let mut by_frame = vec![vec![]; frames.len()];

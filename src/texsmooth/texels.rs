@@ -221,7 +221,7 @@ impl Texels {
                 continue;
             }
             let (number, page) = page_of(&self.pages, index);
-            let target = &mut texture.pages[number].srgb;
+            let target = &mut texture.pages[number].to_mut().srgb;
             page.for_each_place(index, |place, index| {
                 if moments.num_steps[place] > 0 {
                     target[index] = tile.value[place].map(to_byte);

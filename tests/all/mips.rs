@@ -97,7 +97,7 @@ fn painted(layout: &AtlasLayout) -> AtlasTexture {
             page.source[index] = TexelSource::keyframe(0);
         });
     }
-    let mut texture = AtlasTexture { pages };
+    let mut texture = AtlasTexture::from_iter(pages);
     dilate_gutters(layout, &mut texture).unwrap();
     texture
 }
@@ -164,7 +164,8 @@ fn mixed_shares(gutter_texel: u32, num_levels: usize) -> Vec<f64> {
         "tight enough to see mixing: {report:?}"
     );
     let texture = painted(&layout);
-    let mut levels: Vec<Vec<Level>> = vec![texture.pages.iter().map(Level::of).collect()];
+    let mut levels: Vec<Vec<Level>> =
+        vec![texture.pages.iter().map(|page| Level::of(page)).collect()];
     for level in 1..num_levels {
         levels.push(levels[level - 1].iter().map(Level::halved).collect());
     }

@@ -279,7 +279,7 @@ fn paint(panels: &[Panel]) -> AtlasTexture {
             }
         }
     }
-    AtlasTexture { pages }
+    AtlasTexture::from_iter(pages)
 }
 
 /// Patches of about half a metre, some of them without a frame of their own.

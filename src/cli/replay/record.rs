@@ -49,6 +49,7 @@ impl Recording {
             layout: &run.texinit.layout,
             texture: &run.texinit.texture,
             keyframes: &run.keyframes,
+            chart_keys: None,
         };
         let mut log_time_nanos = stamp.as_nanos();
         let mut next_log_time = || {

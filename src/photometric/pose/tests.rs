@@ -70,7 +70,7 @@ fn wall() -> (TriMesh, AtlasLayout, AtlasTexture) {
         *texel = paint(x, y);
     }
     page.source.fill(OTHER);
-    (mesh, layout, AtlasTexture { pages: vec![page] })
+    (mesh, layout, AtlasTexture::from_iter([page]))
 }
 
 fn point_of_texel(index: usize) -> [f64; 2] {

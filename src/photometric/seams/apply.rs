@@ -44,6 +44,7 @@ impl Surface<'_> {
             for (page, texels) in written {
                 num_changed += texels.len();
                 if let Some(page) = texture.pages.get_mut(page as usize) {
+                    let page = page.to_mut();
                     for (index, srgb) in texels {
                         page.srgb[index as usize] = srgb;
                     }

@@ -100,7 +100,7 @@ impl Sheet {
                 page.source[index] = self.sources[label as usize];
             });
         }
-        AtlasTexture { pages: vec![page] }
+        AtlasTexture::from_iter([page])
     }
 
     fn level(&self, params: &SeamParams, texture: &mut AtlasTexture) -> SeamReport {
@@ -197,7 +197,7 @@ fn a_gradient_across_the_seam_is_no_step() {
 fn other_things_and_other_sources_stay() {
     let sheet = Sheet::new();
     let mut texture = sheet.paint(|label, _, _| if label == 1 { 0.8 } else { 0.2 });
-    for (index, source) in texture.pages[0].source.iter_mut().enumerate() {
+    for (index, source) in texture.pages[0].to_mut().source.iter_mut().enumerate() {
         if index % 7 == 0 && *source != TexelSource::NONE {
             *source = TexelSource::MEAN;
         }

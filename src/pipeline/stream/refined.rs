@@ -296,6 +296,7 @@ fn copy(from: &AtlasTexture, to: &mut AtlasTexture, placed: &PlacedChart) {
     let (Some(from), Some(to)) = (from.pages.get(page), to.pages.get_mut(page)) else {
         return;
     };
+    let to = to.to_mut();
     let width = to.width;
     for (row, first, len) in placed.own_spans() {
         if row >= to.height || first >= width {

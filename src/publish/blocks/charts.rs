@@ -4,34 +4,71 @@ use std::collections::BTreeMap;
 
 use rayon::prelude::*;
 
-use crate::atlas::PlacedChart;
+use crate::atlas::{ChartKey, PlacedChart};
 use crate::export::TexturedMesh;
 use crate::mesh::TriangleId;
+use crate::publish::Content;
 use crate::publish::digest::{Digest, Digester};
 use crate::wire::textured_mesh_block::TexturedChart;
 
-/// All charts in the layout's order, without their names.
-pub(super) fn all(textured: &TexturedMesh<'_>, max_bytes: usize) -> Vec<(Digest, TexturedChart)> {
-    let charts: Vec<Vec<(Digest, TexturedChart)>> = triangles_by_chart(textured)
-        .par_iter()
-        .zip(&textured.layout().charts)
-        .map(|(triangles, chart)| parts(textured, chart, triangles, max_bytes))
-        .collect();
-    charts.into_iter().flatten().collect()
+/// Digests of the parts of charts, so that what was sent need not be built again to be told.
+#[derive(Debug, Default)]
+pub(super) struct KnownParts {
+    by_chart: BTreeMap<ChartKey, Vec<Digest>>,
+    max_bytes: usize,
 }
 
-/// By `chart_of_triangle`, which is what the exports go by.
-fn triangles_by_chart(textured: &TexturedMesh<'_>) -> Vec<Vec<TriangleId>> {
-    let layout = textured.layout();
-    let mut triangles_by_chart = vec![Vec::new(); layout.charts.len()];
-    for (triangle, chart) in textured
-        .mesh()
-        .triangle_ids()
-        .zip(&layout.chart_of_triangle)
-    {
-        triangles_by_chart[chart.index()].push(triangle);
+impl KnownParts {
+    /// The parts of all charts in the layout's order, without their names; none of `max_bytes` or more. Those
+    /// of charts all of whose parts are sent are not built.
+    pub(super) fn all(
+        &mut self,
+        content: &Content<'_>,
+        max_bytes: usize,
+        is_sent: &dyn Fn(Digest) -> bool,
+    ) -> Vec<(Digest, Option<TexturedChart>)> {
+        let Content { textured, keys } = content;
+        let mut before = std::mem::take(&mut self.by_chart);
+        if std::mem::replace(&mut self.max_bytes, max_bytes) != max_bytes {
+            before.clear();
+        }
+        let mut known: Vec<Option<Vec<Digest>>> = keys
+            .iter()
+            // Removed, so that of two equal charts one is built: it is not known that both were sent.
+            .map(|key| {
+                before
+                    .remove(key)
+                    .filter(|parts| parts.iter().all(|&d| is_sent(d)))
+            })
+            .collect();
+        let mut triangles = vec![Vec::new(); known.len()];
+        if known.contains(&None) {
+            // By `chart_of_triangle`, which is what the exports go by.
+            let charts = &textured.layout().chart_of_triangle;
+            for (triangle, chart) in textured.mesh().triangle_ids().zip(charts) {
+                if known[chart.index()].is_none() {
+                    triangles[chart.index()].push(triangle);
+                }
+            }
+        }
+        let charts = textured.layout().charts.par_iter();
+        let built: Vec<Vec<(Digest, Option<TexturedChart>)>> = charts
+            .zip(&triangles)
+            .zip(&mut known)
+            .map(|((chart, triangles), known)| match known.take() {
+                Some(known) => known.into_iter().map(|digest| (digest, None)).collect(),
+                None => {
+                    let parts = parts(textured, chart, triangles, max_bytes).into_iter();
+                    parts.map(|(digest, part)| (digest, Some(part))).collect()
+                }
+            })
+            .collect();
+        for (key, parts) in keys.iter().zip(&built) {
+            let digests = parts.iter().map(|(digest, _)| *digest).collect();
+            self.by_chart.insert(*key, digests);
+        }
+        built.into_iter().flatten().collect()
     }
-    triangles_by_chart
 }
 
 /// Bytes of a vertex with its coordinates.

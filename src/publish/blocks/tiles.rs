@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use rayon::prelude::*;
 
-use crate::atlas::{AtlasTexture, TexelRect, TexturePage};
+use crate::atlas::{AtlasTexture, PageTrace, SharedPage, TexelRect, TexturePage};
 use crate::export::PageFormat;
 use crate::publish::digest::{Digest, Digester};
 use crate::publish::{PublishError, PublishParams, crop};
@@ -14,6 +14,8 @@ use crate::wire::textured_mesh_block::TextureTile;
 #[derive(Debug, Default)]
 pub(super) struct Tiles {
     held: BTreeMap<(u32, u32, u32), Digest>,
+    /// Pages as they were when their tiles were held against those.
+    compared: Vec<PageTrace>,
 }
 
 /// A tile of the grid that is not what readers hold.
@@ -26,6 +28,7 @@ struct Changed {
 impl Tiles {
     pub(super) fn clear(&mut self) {
         self.held.clear();
+        self.compared.clear();
     }
 
     /// Tiles that differ from what readers hold, who hold them from now on. A tile that is too long
@@ -39,7 +42,12 @@ impl Tiles {
         let num_pages = texture.pages.len();
         self.held
             .retain(|(page, ..), _| (*page as usize) < num_pages);
-        let changed: Vec<Changed> = grid(texture, params.tile_texel)
+        let is_same = |page: &(u32, &SharedPage)| {
+            let compared = self.compared.get(page.0 as usize);
+            compared.is_some_and(|trace| trace.is_of(page.1))
+        };
+        let pages = (0_u32..).zip(&texture.pages).filter(|page| !is_same(page));
+        let changed: Vec<Changed> = grid(pages, params.tile_texel)
             .into_par_iter()
             .filter_map(|(page, rect)| self.compare(&texture.pages[page as usize], page, rect))
             .collect();
@@ -55,6 +63,7 @@ impl Tiles {
             let key = (tile.page, tile.rect.x, tile.rect.y);
             self.held.insert(key, tile.digest);
         }
+        self.compared = texture.pages.iter().map(SharedPage::trace).collect();
         Ok(tiles.into_iter().flatten().collect())
     }
 
@@ -79,10 +88,13 @@ impl Tiles {
     }
 }
 
-fn grid(texture: &AtlasTexture, tile_texel: u32) -> Vec<(u32, TexelRect)> {
+fn grid<'a>(
+    pages: impl Iterator<Item = (u32, &'a SharedPage)>,
+    tile_texel: u32,
+) -> Vec<(u32, TexelRect)> {
     let mut tiles = Vec::new();
     let step = tile_texel as usize;
-    for (index, page) in (0u32..).zip(&texture.pages) {
+    for (index, page) in pages {
         for y in (0..page.height).step_by(step) {
             for x in (0..page.width).step_by(step) {
                 let rect = TexelRect {

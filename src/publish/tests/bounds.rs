@@ -52,7 +52,7 @@ fn noise(page_size_texel: [u32; 2], triangles: &[[[f32; 2]; 3]]) -> Made {
         frame_id: "map".to_owned(),
         mesh,
         layout,
-        texture: AtlasTexture { pages: vec![page] },
+        texture: AtlasTexture::from_iter([page]),
         keyframes: Vec::new(),
     }
 }

@@ -1,10 +1,13 @@
 //! Scans made up of patches, each a chart in a slot of a page, that change at random.
 
+use std::cell::RefCell;
 use std::sync::Arc;
 
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 
-use crate::atlas::{AtlasLayout, AtlasTexture, ChartId, PlacedChart, TexelRect, TexturePage};
+use crate::atlas::{
+    AtlasLayout, AtlasTexture, ChartId, PlacedChart, SharedPage, TexelRect, TexturePage,
+};
 use crate::geom::{CameraModel, ColorImage, EncodedColor, PinholeCamera, RigidTransform, Stamp};
 use crate::keyframe::{FrameQuality, Keyframe, KeyframeId};
 use crate::mesh::{TriMesh, TriangleId};
@@ -32,6 +35,8 @@ pub(super) struct Scan {
     pub(super) frame_id: String,
     /// Far from the origin, where f32 has no millimetres.
     pub(super) origin_m: f64,
+    /// Pages made last: those that stay are shared from state to state, as painters do.
+    pages: RefCell<Vec<SharedPage>>,
 }
 
 pub(super) struct Made {
@@ -60,6 +65,7 @@ impl Scan {
             page_size_texel: [192, 144],
             frame_id: "map".to_owned(),
             origin_m: 0.0,
+            pages: RefCell::default(),
         };
         for _ in 0..6 {
             scan.add();
@@ -225,6 +231,13 @@ impl Scan {
             }
         }
         let (mesh, _) = TriMesh::from_soup(positions_m, triangles).unwrap();
+        let mut before = self.pages.borrow_mut();
+        let shared = pages.into_iter().enumerate().map(|(number, page)| {
+            let same = before.get(number).filter(|before| ***before == page);
+            same.cloned().unwrap_or_else(|| page.into())
+        });
+        let pages: Vec<SharedPage> = shared.collect();
+        before.clone_from(&pages);
         Made {
             frame_id: self.frame_id.clone(),
             mesh,
@@ -266,6 +279,7 @@ impl Made {
             layout: &self.layout,
             texture: &self.texture,
             keyframes: &self.keyframes,
+            chart_keys: None,
         }
     }
 

@@ -4,8 +4,8 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
+use super::coverage::Coverage;
 use super::{POLL, PaintStatus, Painting, Shared, lock};
-use crate::atlas::TexelSource;
 use crate::config::Config;
 use crate::pipeline::{
     Capture, IdleStep, NoProgress, Painted, Painter, PipelineError, PipelineParams, StreamMode,
@@ -21,6 +21,7 @@ pub(super) fn paint(shared: &Shared) {
         left_over: None,
         refinable: None,
         is_quiet: false,
+        coverage: Coverage::default(),
     };
     while !shared.captures.is_shut() {
         thread.go_on(&shared.config());
@@ -38,6 +39,7 @@ struct PaintThread<'a> {
     refinable: Option<u64>,
     /// Whether no capture came for a while.
     is_quiet: bool,
+    coverage: Coverage,
 }
 
 impl PaintThread<'_> {
@@ -129,8 +131,10 @@ impl PaintThread<'_> {
     }
 
     /// Notes how it went, and hands on what was made to those who publish it.
-    fn hand_on(&self, num_resets: u64, result: Result<Option<Painted>, PipelineError>) {
+    fn hand_on(&mut self, num_resets: u64, result: Result<Option<Painted>, PipelineError>) {
         let shared = self.shared;
+        let painted = result.as_ref().ok().and_then(Option::as_ref);
+        let coverage = painted.map(|painted| self.coverage.of(&painted.texture));
         let mut status = lock(&shared.paint_status);
         status.is_painting = false;
         status.num_cached_bytes = self.painter.num_cached_bytes();
@@ -138,7 +142,7 @@ impl PaintThread<'_> {
         match result {
             Ok(None) => {}
             Ok(Some(painted)) => {
-                note(&mut status, &painted);
+                note(&mut status, &painted, coverage.unwrap_or_default());
                 let number = status.num_painted;
                 drop(status);
                 // What was painted before a reset is of no use to those who asked for it.
@@ -173,7 +177,7 @@ fn can_follow(params: &PipelineParams, num_steps: usize) -> bool {
     refined.follows_changes() && refined.whole_scan_only().is_none()
 }
 
-fn note(status: &mut PaintStatus, painted: &Painted) {
+fn note(status: &mut PaintStatus, painted: &Painted, coverage: f32) {
     status.num_painted += 1;
     status.last_error = None;
     status.revision = painted.capture.revision;
@@ -189,16 +193,5 @@ fn note(status: &mut PaintStatus, painted: &Painted) {
     let texture = &painted.texture;
     status.num_pages = texture.pages.len();
     status.num_charts = painted.layout.charts.len();
-    let texels = texture.pages.iter().flat_map(|page| &page.source);
-    let (mut num_painted, mut num_covered) = (0_u64, 0_u64);
-    for source in texels {
-        let is_covered = *source != TexelSource::NONE && *source != TexelSource::GUTTER;
-        num_covered += u64::from(is_covered);
-        num_painted += u64::from(source.as_keyframe().is_some());
-    }
-    status.coverage = if num_covered == 0 {
-        0.0
-    } else {
-        num_painted as f32 / num_covered as f32
-    };
+    status.coverage = coverage;
 }

@@ -352,7 +352,7 @@ fn the_truth_scores_itself_without_error() {
     assert!(own.seen_area_share > 0.98, "{}", own.seen_area_share);
     assert!(own.num_unmatched_texels == 0 && own.num_seen_texels > 100_000);
     for page in &mut texture.pages {
-        for srgb in &mut page.srgb {
+        for srgb in &mut page.to_mut().srgb {
             *srgb = srgb.map(|c| c.saturating_add(10));
         }
     }

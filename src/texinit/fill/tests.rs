@@ -67,11 +67,9 @@ fn painted(
 ) -> AtlasTexture {
     let [width, height] = layout.page_size_texel;
     let blank = crate::atlas::TexturePage::blank(width, height);
-    let mut texture = AtlasTexture {
-        pages: vec![blank; layout.num_pages as usize],
-    };
+    let mut texture = AtlasTexture::from_iter(vec![blank; layout.num_pages as usize]);
     for triangle in mesh.triangle_ids().filter(|t| is_seen(*t)) {
-        let page = &mut texture.pages[layout.page_of(triangle) as usize];
+        let page = texture.pages[layout.page_of(triangle) as usize].to_mut();
         let corners = mesh.corners_m(triangle);
         for_each_index(layout, triangle, |index, weights| {
             let point = corners
@@ -208,7 +206,7 @@ fn a_mesh_or_texture_of_another_layout_is_refused() {
     };
     let wild = fill_unseen(&mesh, &layout, &mut texture, &wild);
     assert!(matches!(wild, Err(FillError::OverRelaxation { .. })));
-    texture.pages[0].srgb.pop();
+    texture.pages[0].to_mut().srgb.pop();
     let short = fill_unseen(&mesh, &layout, &mut texture, &params);
     assert!(matches!(short, Err(FillError::Texture(_))));
 }

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use super::labels::KeptLabels;
 use crate::atlas::gutter::Gutter;
-use crate::atlas::{AtlasLayout, ChartId, ChartPlacer, PlacedPiece};
+use crate::atlas::{AtlasLayout, ChartId, ChartKey, ChartPlacer, PlacedPiece};
 use crate::mesh::TriangleId;
 use crate::render::BoundingBox;
 use crate::texinit::fill::Coverage;
@@ -28,6 +28,8 @@ pub(super) struct StreamChart {
     pub(super) id: StreamChartId,
     /// Its triangles are those of the mesh, in a row.
     pub(super) piece: PlacedPiece,
+    /// What stands for its place and shape, once it is laid out.
+    pub(super) key: Option<ChartKey>,
     /// The same triangles in the mesh that is tracked.
     pub(super) members: Vec<Member>,
     pub(super) bounds: BoundingBox,
@@ -62,6 +64,7 @@ impl StreamChart {
             means: BTreeMap::new(),
             coverage: vec![Coverage::default(); num_triangles],
             gutter: None,
+            key: None,
             piece,
         }
     }

@@ -122,7 +122,7 @@ impl StreamInit {
         self.texture
             .pages
             .resize_with(placer.num_pages() as usize, || {
-                TexturePage::blank(width, height)
+                TexturePage::blank(width, height).into()
             });
     }
 

@@ -92,7 +92,12 @@ impl StreamInit {
         let pages = self.texture.pages.par_iter_mut();
         pages.enumerate().for_each(|(number, page)| {
             let on_page = |triangle: &&TriangleId| layout.page_of(**triangle) as usize == number;
-            for triangle in triangles.iter().filter(on_page) {
+            let mut triangles = triangles.iter().filter(on_page).peekable();
+            if triangles.peek().is_none() {
+                return;
+            }
+            let page = page.to_mut();
+            for triangle in triangles {
                 let corners = &layout.corners_texel[triangle.index()];
                 for_each_texel_within(corners, layout.page_size_texel, |x, y, _| {
                     let index = (y * page.width + x) as usize;
@@ -302,7 +307,7 @@ impl StreamInit {
         for (chart, _) in charts.filter(|(_, is_repainted)| **is_repainted) {
             let page = pages.get_mut(chart.piece.chart.page as usize);
             if let (Some(gutter), Some(page)) = (&chart.gutter, page) {
-                gutter.paint(page);
+                gutter.paint(page.to_mut());
             }
         }
     }

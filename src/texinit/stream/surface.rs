@@ -4,13 +4,14 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use nalgebra::Point3;
+use rayon::prelude::*;
 
 use super::charts::{Dirt, Member, StreamChart, layout_of, triangles_from};
 use super::cover::Cover;
 use super::inherit::Orphans;
 use super::labels::KeptLabels;
 use super::{StreamError, StreamInit, StreamUpdate};
-use crate::atlas::TexelSource;
+use crate::atlas::{ChartKey, TexelSource};
 use crate::mesh::{MeshDiff, OldTriangle, Origin, TriMesh, TriangleId};
 use crate::render::{BoundingBox, MeshRuns};
 use crate::texinit::assign::chart_table::chart_mesh;
@@ -202,6 +203,7 @@ impl StreamInit {
     /// Blanks a chart's texels and frees its cells.
     fn take_off(&mut self, chart: &StreamChart) {
         if let Some(page) = self.texture.pages.get_mut(chart.piece.chart.page as usize) {
+            let page = page.to_mut();
             for (y, first, len) in chart.piece.chart.own_spans() {
                 let start = (y * page.width + first) as usize;
                 let span = start..start + len as usize;
@@ -261,9 +263,8 @@ impl StreamInit {
             triangles.extend(chart.members.iter().map(|&member| change.corners(member)));
         }
         // All are triangles of the mesh given: nothing is refused or left out.
-        self.mesh = TriMesh::from_soup(change.mesh.positions_m().to_vec(), triangles)
-            .map(|(mesh, _)| mesh)
-            .unwrap_or_default();
+        let mesh = TriMesh::from_soup(change.mesh.positions_m().to_vec(), triangles);
+        self.mesh = Arc::new(mesh.map(|(mesh, _)| mesh).unwrap_or_default());
         self.runs = MeshRuns::new(&self.mesh);
         for (chart, dirt) in self.charts.iter_mut().zip(&mut change.dirt) {
             if dirt.is_fresh {
@@ -283,7 +284,16 @@ impl StreamInit {
         }
         change.orphans = Orphans::default();
         let num_triangles = self.mesh.num_triangles();
-        self.layout = layout_of(&self.charts, self.placer.as_ref(), num_triangles);
+        self.layout = Arc::new(layout_of(&self.charts, self.placer.as_ref(), num_triangles));
+        let (mesh, layout) = (&self.mesh, &self.layout);
+        let charts = self.charts.par_iter_mut().zip(&change.dirt);
+        charts.for_each(|(chart, dirt)| {
+            if chart.key.is_none() || dirt.is_moved() || is_relaid(dirt) {
+                let placed = &chart.piece.chart;
+                let triangles = placed.triangles.iter().copied();
+                chart.key = Some(ChartKey::of(mesh, layout, placed, triangles));
+            }
+        });
     }
 }
 

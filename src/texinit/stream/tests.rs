@@ -9,7 +9,9 @@ use nalgebra::{UnitQuaternion, Vector3};
 use rayon::prelude::*;
 
 use super::*;
-use crate::atlas::{AtlasTexture, PackParams, TexelSource, TexturePage, num_shared_texels};
+use crate::atlas::{
+    AtlasTexture, ChartKey, PackParams, TexelSource, TexturePage, num_shared_texels,
+};
 use crate::geom::{ImageError, RigidTransform};
 use crate::keyframe::KeyframeId;
 use crate::render::VisibilityParams;
@@ -92,6 +94,8 @@ fn check_equality_over(
 ) {
     assert_eq!(state.mesh().num_triangles(), scan.mesh().num_triangles());
     assert_eq!(num_shared_texels(state.layout()), 0);
+    let keys = ChartKey::of_all(state.mesh(), state.layout());
+    assert_eq!(state.chart_keys(), keys);
     let batch = batch(state, scan, frames, params);
     let number = |frame: &Option<u32>| frame.map(|frame| frames[frame as usize].id.0);
     let expected: Vec<Option<u32>> = batch.assignment.label.iter().map(number).collect();

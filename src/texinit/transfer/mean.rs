@@ -5,7 +5,7 @@ use nalgebra::Point3;
 use rayon::prelude::*;
 
 use crate::atlas::texels::for_each_texel_within;
-use crate::atlas::{AtlasLayout, TexelSource, TexturePage};
+use crate::atlas::{AtlasLayout, SharedPage, TexelSource};
 use crate::geom::PinholeCamera;
 use crate::geom::color::srgb_from_linear;
 use crate::mesh::{TriMesh, TriangleId};
@@ -230,13 +230,13 @@ impl MeanTexels {
         &self,
         layout: &AtlasLayout,
         form: MeanForm,
-        pages: &mut [TexturePage],
+        pages: &mut [SharedPage],
         is_written: impl Fn(bool) -> bool,
     ) -> (usize, usize) {
         let (mut num_mean, mut num_unseen) = (0, 0);
         let triangles = self.triangles.iter().zip(&self.first).zip(&self.has_grown);
         for ((&triangle, &first), _) in triangles.filter(|(_, grown)| is_written(**grown)) {
-            let page = &mut pages[layout.page_of(triangle) as usize];
+            let page = pages[layout.page_of(triangle) as usize].to_mut();
             let width = page.width as usize;
             let mut sums = self.sums[first..].iter();
             let corners = &layout.corners_texel[triangle.index()];

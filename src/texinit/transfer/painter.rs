@@ -6,7 +6,7 @@ use nalgebra::{Point3, Rotation3};
 use rayon::prelude::*;
 
 use crate::atlas::texels::for_each_texel_within;
-use crate::atlas::{AtlasLayout, TexelSource, TexturePage};
+use crate::atlas::{AtlasLayout, SharedPage, TexelSource};
 use crate::geom::camera::CameraError;
 use crate::geom::{ImageError, PinholeCamera, RigidTransform};
 use crate::keyframe::DecodedFrame;
@@ -82,6 +82,12 @@ struct BandTexels {
     painted: Vec<Painted>,
     /// Texels that become blank.
     blank: Vec<u32>,
+}
+
+impl BandTexels {
+    fn is_empty(&self) -> bool {
+        self.painted.is_empty() && self.blank.is_empty()
+    }
 }
 
 /// Scratch memory of [`Painter::paint_all`], worth keeping.
@@ -176,7 +182,7 @@ impl Painter<'_> {
         buffers: &mut PaintBuffers,
         decode: &(dyn Fn(usize) -> Result<Arc<DecodedFrame>, ImageError> + Sync),
         progress: &(dyn Fn(usize) + Sync),
-        pages: &mut [TexturePage],
+        pages: &mut [SharedPage],
     ) -> PaintDone {
         let mut report = TransferReport::default();
         let (mut complete, mut partly) = (Vec::new(), Vec::new());
@@ -492,10 +498,17 @@ fn num_bands([_, height]: [u32; 2]) -> usize {
 }
 
 /// Writes the frames' texels to the pages; returns how many were painted.
-fn scatter(looks: &[FrameLook<'_>], pages: &mut [TexturePage]) -> usize {
+fn scatter(looks: &[FrameLook<'_>], pages: &mut [SharedPage]) -> usize {
     pages.par_iter_mut().enumerate().for_each(|(number, page)| {
+        let num_bands = num_bands([page.width, page.height]);
+        let first_band = number * num_bands;
+        let tasks = || looks.iter().flat_map(|look| &look.painted);
+        let mut bands = tasks().flat_map(|task| &task.bands[first_band..][..num_bands]);
+        if bands.all(BandTexels::is_empty) {
+            return;
+        }
+        let page = page.to_mut();
         let band_len = BAND_ROWS * page.width as usize;
-        let first_band = number * num_bands([page.width, page.height]);
         let srgb = page.srgb.par_chunks_mut(band_len);
         let source = page.source.par_chunks_mut(band_len);
         let confidence = page.confidence.par_chunks_mut(band_len);

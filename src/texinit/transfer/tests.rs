@@ -40,7 +40,7 @@ fn paint(
     let mesh = scene.mesh();
     let decode = |frame: usize| Ok(scene.frames[frame].clone());
     let assignment = assign_poses(&mesh, &scene.poses, &decode, assign, &|_| ()).unwrap();
-    let (mut texture, report) = transfer_poses(
+    let (texture, report) = transfer_poses(
         &mesh,
         layout,
         &assignment,
@@ -50,7 +50,7 @@ fn paint(
         &|_| (),
     )
     .unwrap();
-    (assignment, texture.pages.remove(0), report)
+    (assignment, TexturePage::clone(&texture.pages[0]), report)
 }
 
 /// Visits every owned texel of the first panel with its point on it.
@@ -261,7 +261,7 @@ fn a_new_view_of_the_painted_scene_looks_like_its_photo() {
         &AssignParams::default(),
         &TransferParams::default(),
     );
-    let texture = AtlasTexture { pages: vec![page] };
+    let texture = AtlasTexture::from_iter([page]);
     scene.photograph([-0.2, 0.15, 0.5], 0.15, &[], true);
     let photo = scene.frames[3].clone();
     let camera_from_world = scene.poses[3].world_from_camera.inverse();
@@ -345,7 +345,7 @@ fn keyframes_give_what_their_decoded_frames_give() {
     .unwrap();
     let (expected_assignment, expected_page, _) = paint(&scene, &layout, &assign_params, &params);
     assert_eq!(assignment, expected_assignment);
-    assert_eq!(texture.pages, [expected_page]);
+    assert_eq!(texture, AtlasTexture::from_iter([expected_page]));
 }
 
 #[test]

@@ -44,7 +44,7 @@ fn wall(source: TexelSource, grey: u8) -> (TriMesh, AtlasLayout, AtlasTexture) {
     let mut page = TexturePage::blank(SIDE_TEXEL, SIDE_TEXEL);
     page.srgb.fill([grey; 3]);
     page.source.fill(source);
-    (mesh, layout, AtlasTexture { pages: vec![page] })
+    (mesh, layout, AtlasTexture::from_iter([page]))
 }
 
 /// A camera that looks at the wall straight on, so many metres behind the origin.

@@ -23,9 +23,7 @@ fn texture() -> AtlasTexture {
         }
         page
     };
-    AtlasTexture {
-        pages: vec![page(1), page(2)],
-    }
+    AtlasTexture::from_iter([page(1), page(2)])
 }
 
 fn positions(num: u64) -> impl Iterator<Item = (usize, [f32; 2])> {
@@ -128,7 +126,7 @@ fn textbook(gradients: &[f64], rate: f64, [b1, b2]: [f64; 2]) -> f64 {
 #[test]
 fn steps_are_those_of_adam_and_touch_nothing_else() {
     let mut original = texture();
-    original.pages[0].source[20 * 150 + 70] = TexelSource::keyframe(0);
+    original.pages[0].to_mut().source[20 * 150 + 70] = TexelSource::keyframe(0);
     let mut texels = Texels::from_texture(&original).unwrap();
     texels.fill(0.0);
     let footprint = texels.footprint(&original, 0, [70.5, 20.5]);
@@ -260,7 +258,7 @@ fn of_some_charts_only_their_texels_step_and_only_for_their_pixels() {
     let mut expected = texture.clone();
     for y in 0..60 {
         let own = y * 150 + 64..y * 150 + 84;
-        expected.pages[0].srgb[own.clone()].copy_from_slice(&whole.pages[0].srgb[own]);
+        expected.pages[0].to_mut().srgb[own.clone()].copy_from_slice(&whole.pages[0].srgb[own]);
     }
     assert_ne!(expected, texture);
     assert!(found == expected);

@@ -47,7 +47,7 @@ fn square() -> (TriMesh, AtlasLayout, AtlasTexture) {
         *texel = [(2 * (index % 104)) as u8, (2 * (index / 104)) as u8, 9];
     }
     page.source.fill(TexelSource::keyframe(0));
-    (mesh, layout, AtlasTexture { pages: vec![page] })
+    (mesh, layout, AtlasTexture::from_iter([page]))
 }
 
 fn camera() -> PinholeCamera {

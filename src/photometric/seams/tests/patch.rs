@@ -140,7 +140,7 @@ fn a_part_levelled_again_is_as_it_was() {
         let mut again = whole.clone();
         for (index, is_texel) in texels_of(&sheet, is_part).into_iter().enumerate() {
             if is_texel {
-                again.pages[0].srgb[index] = before.pages[0].srgb[index];
+                again.pages[0].to_mut().srgb[index] = before.pages[0].srgb[index];
             }
         }
         let num_reset = again.pages[0].srgb.iter().zip(&whole.pages[0].srgb);

@@ -64,7 +64,7 @@ impl Wall {
         Self {
             mesh,
             layout,
-            texture: AtlasTexture { pages: vec![page] },
+            texture: AtlasTexture::from_iter([page]),
             frames: (0..7).map(keyframe).collect(),
         }
     }
