@@ -130,6 +130,18 @@ impl DiffCounts {
 }
 
 impl MeshDiff {
+    /// Leading new triangles that are kept under their number, listed from the same corner.
+    pub fn num_in_place(&self) -> usize {
+        let in_place = |(number, origin): &(u32, &Origin)| {
+            let itself = OldTriangle {
+                triangle: TriangleId(*number),
+                first_corner: 0,
+            };
+            **origin == Origin::Kept(itself)
+        };
+        (0_u32..).zip(&self.origins).take_while(in_place).count()
+    }
+
     /// How many triangles are what.
     pub fn counts(&self) -> DiffCounts {
         let mut counts = DiffCounts {

@@ -3,6 +3,8 @@
 //! Nothing else is promised: it may be non-manifold, have duplicate, reversed or zero-area
 //! triangles, and vertices that no triangle uses.
 
+use std::sync::Arc;
+
 use nalgebra::{Point3, Vector3};
 
 use super::ids::TriangleId;
@@ -48,7 +50,8 @@ pub struct SoupReport {
 /// An indexed triangle mesh, positions in metres in one frame that its owner names.
 #[derive(Clone, Debug, PartialEq, Default)]
 pub struct TriMesh {
-    positions_m: Vec<Point3<f64>>,
+    /// Meshes of one surface may share them.
+    positions_m: Arc<Vec<Point3<f64>>>,
     triangles: Vec<[u32; 3]>,
 }
 
@@ -98,7 +101,7 @@ impl TriMesh {
         };
         Ok((
             Self {
-                positions_m,
+                positions_m: Arc::new(positions_m),
                 triangles,
             },
             report,
@@ -115,9 +118,27 @@ impl TriMesh {
             "an index is out of range"
         );
         Self {
-            positions_m,
+            positions_m: Arc::new(positions_m),
             triangles,
         }
+    }
+
+    /// Makes this a mesh of the vertices of another, which they share: the first triangles stay, `others` of
+    /// the other mesh come after them. Those that stay name vertices of the other mesh.
+    pub(crate) fn relist(
+        &mut self,
+        of: &Self,
+        num_staying: usize,
+        others: impl Iterator<Item = [u32; 3]>,
+    ) {
+        self.positions_m = Arc::clone(&of.positions_m);
+        self.triangles.truncate(num_staying);
+        self.triangles.extend(others);
+        debug_assert!(
+            (self.triangles.as_flattened().iter())
+                .all(|&vertex| (vertex as usize) < self.positions_m.len()),
+            "an index is out of range"
+        );
     }
 
     /// Vertex positions in metres.
@@ -177,7 +198,7 @@ impl TriMesh {
             new_of_old[vertex as usize] = 0;
         }
         let mut positions_m = Vec::new();
-        for (new, position_m) in new_of_old.iter_mut().zip(&self.positions_m) {
+        for (new, position_m) in new_of_old.iter_mut().zip(&*self.positions_m) {
             if *new != UNUSED {
                 #[expect(clippy::cast_possible_truncation, reason = "checked at construction")]
                 let index = positions_m.len() as u32;
@@ -187,7 +208,7 @@ impl TriMesh {
         }
         let renumbered = |corners: [u32; 3]| corners.map(|v| new_of_old[v as usize]);
         Self {
-            positions_m,
+            positions_m: Arc::new(positions_m),
             triangles: kept.into_iter().map(renumbered).collect(),
         }
     }
@@ -195,12 +216,10 @@ impl TriMesh {
     /// The same mesh in another frame.
     #[must_use]
     pub fn transformed(&self, dst_from_src: &crate::geom::RigidTransform) -> Self {
+        let positions_m = self.positions_m.iter();
+        let moved = positions_m.map(|p| dst_from_src.transform_point(p));
         Self {
-            positions_m: self
-                .positions_m
-                .iter()
-                .map(|p| dst_from_src.transform_point(p))
-                .collect(),
+            positions_m: Arc::new(moved.collect()),
             triangles: self.triangles.clone(),
         }
     }

@@ -49,6 +49,15 @@ impl BoundingBox {
         }
     }
 
+    /// Whether the two may have a point in common; somewhat widened, so that rounding cannot part them. A box
+    /// around nothing meets none.
+    pub(crate) fn meets(&self, other: &Self) -> bool {
+        let apart_m = (self.center - other.center).abs();
+        let reach_m = self.half_size + other.half_size;
+        let rounding_m = 1e-9 * (1.0 + self.center.coords.amax() + reach_m.amax());
+        (0..3).all(|axis| apart_m[axis] <= reach_m[axis] + rounding_m)
+    }
+
     /// Its corners, metres.
     pub fn corners_m(&self) -> [Point3<f64>; 8] {
         std::array::from_fn(|corner| {
@@ -227,14 +236,25 @@ impl MeshRuns {
     /// The runs of `mesh`.
     pub fn new(mesh: &TriMesh) -> Self {
         let mut runs = Self {
-            num_triangles: mesh.num_triangles(),
-            num_vertices: mesh.num_vertices(),
+            num_triangles: 0,
+            num_vertices: 0,
             bounds: vec![],
             first_block: vec![0],
             blocks: vec![],
         };
-        let all: Vec<(BoundingBox, Vec<u32>)> = mesh
-            .triangles()
+        runs.renew(mesh, 0);
+        runs
+    }
+
+    /// Makes these the runs of `mesh`, whose first `num_staying` triangles, and where their vertices lie, are
+    /// those of the mesh that they are of.
+    pub(crate) fn renew(&mut self, mesh: &TriMesh, num_staying: usize) {
+        let num_runs = num_staying.min(self.num_triangles) / RUN_SIZE;
+        (self.num_triangles, self.num_vertices) = (mesh.num_triangles(), mesh.num_vertices());
+        self.bounds.truncate(num_runs);
+        self.first_block.truncate(num_runs + 1);
+        self.blocks.truncate(self.first_block[num_runs]);
+        let all: Vec<(BoundingBox, Vec<u32>)> = mesh.triangles()[num_runs * RUN_SIZE..]
             .par_chunks(RUN_SIZE)
             .map(|triangles| {
                 let corners = triangles.as_flattened();
@@ -246,11 +266,10 @@ impl MeshRuns {
             })
             .collect();
         for (bounds, blocks) in all {
-            runs.bounds.push(bounds);
-            runs.blocks.extend(blocks);
-            runs.first_block.push(runs.blocks.len());
+            self.bounds.push(bounds);
+            self.blocks.extend(blocks);
+            self.first_block.push(self.blocks.len());
         }
-        runs
     }
 
     /// What the camera may see up to a depth of `far_m` metres: every triangle that is drawn, or lies

@@ -187,6 +187,8 @@ pub struct StreamInit {
     tracked: TrackedMesh,
     mesh: Arc<TriMesh>,
     runs: MeshRuns,
+    /// Of [`TrackedMesh::num_renumberings`], when the mesh was listed.
+    num_renumberings: usize,
     layout: Arc<AtlasLayout>,
     texture: AtlasTexture,
     /// Ascending by id, in the order of the layout.
@@ -227,7 +229,8 @@ impl StreamInit {
         let mesh = TriMesh::default();
         Ok(Self {
             runs: MeshRuns::new(&mesh),
-            layout: Arc::new(charts::layout_of(&[], None, 0)),
+            num_renumberings: 0,
+            layout: Arc::new(charts::empty_layout()),
             tracked: TrackedMesh::new(&stream.diff)?,
             mesh: Arc::new(mesh),
             texture: AtlasTexture::default(),
@@ -390,7 +393,7 @@ impl StreamInit {
         self.mesh = Arc::default();
         self.runs = MeshRuns::new(&self.mesh);
         self.charts.clear();
-        self.layout = Arc::new(charts::layout_of(&[], None, 0));
+        self.layout = Arc::new(charts::empty_layout());
         self.texture = AtlasTexture::default();
         self.placer = None;
         self.has_density = false;

@@ -33,6 +33,8 @@ pub struct TrackedMesh {
     /// Per place: whether a triangle names it.
     is_named: Vec<bool>,
     mesh: Arc<TriMesh>,
+    /// How often vertices got other numbers.
+    num_renumberings: usize,
 }
 
 /// What is known of a new mesh while it is held against the old one.
@@ -60,6 +62,7 @@ impl TrackedMesh {
             places: Places::with_capacity(0),
             is_named: Vec::new(),
             mesh: Arc::default(),
+            num_renumberings: 0,
         })
     }
 
@@ -70,6 +73,13 @@ impl TrackedMesh {
         self.places = Places::with_capacity(0);
         self.is_named.clear();
         self.mesh = Arc::default();
+        self.num_renumberings += 1;
+    }
+
+    /// How often vertices got other numbers: while it is the same, triangles that are kept name the same
+    /// ones.
+    pub fn num_renumberings(&self) -> usize {
+        self.num_renumberings
     }
 
     /// The mesh as it was given last, its vertices on the grid; triangles have their order and number.
@@ -87,7 +97,8 @@ impl TrackedMesh {
             return Ok(None);
         }
         let mut matching = Matching::new(self, given);
-        matching.match_in_order()?;
+        let num_in_place = matching.match_in_place();
+        matching.match_in_order(num_in_place)?;
         let Matching {
             mut place_of_vertex,
             is_matched,
@@ -103,10 +114,11 @@ impl TrackedMesh {
             is_named[place as usize] = true;
         }
         self.is_named.resize(self.places.len(), false);
-        let corners = given.triangles().iter();
-        let triangles: Vec<[u32; 3]> = corners
-            .map(|corners| corners.map(|v| place_of_vertex[v as usize]))
-            .collect();
+        let corners = given.triangles()[num_in_place..].iter();
+        let others = corners.map(|corners| corners.map(|v| place_of_vertex[v as usize]));
+        let mut triangles = Vec::with_capacity(given.num_triangles());
+        triangles.extend_from_slice(&self.mesh.triangles()[..num_in_place]);
+        triangles.extend(others);
         let unmatched = self.mesh.triangle_ids().zip(self.mesh.triangles());
         let unmatched = unmatched.filter(|(triangle, _)| !is_matched[triangle.index()]);
         let new_corners =
@@ -220,6 +232,7 @@ impl TrackedMesh {
         {
             *place = number_of[*place as usize];
         }
+        self.num_renumberings += 1;
         self.is_named = vec![true; places.len()];
         self.places = places;
         (*positions_m, *is_touched) = (kept_m, kept_touched);
@@ -238,11 +251,37 @@ impl<'a> Matching<'a> {
         }
     }
 
-    /// Finds equal triangles where the order is the old one.
-    fn match_in_order(&mut self) -> Result<(), DiffError> {
+    /// Finds leading triangles that are the old ones, vertex numbers and all, as where a mesh grows at
+    /// its end; returns how many.
+    fn match_in_place(&mut self) -> usize {
+        let (new, old) = (self.new, &self.old.given);
+        let positions_m = new.positions_m().iter().zip(old.positions_m());
+        let num_vertices = positions_m.take_while(|(new, old)| new == old).count();
+        let is_same = |(new, old): &(&[u32; 3], &[u32; 3])| {
+            new == old && new.iter().all(|&vertex| (vertex as usize) < num_vertices)
+        };
+        let triangles = new.triangles().iter().zip(old.triangles());
+        let num_in_place = triangles.take_while(is_same).count();
+        for &vertex in new.triangles()[..num_in_place].as_flattened() {
+            self.place_of_vertex[vertex as usize] = self.old.place_of_vertex[vertex as usize];
+        }
+        self.is_matched[..num_in_place].fill(true);
+        let origins = self.origins[..num_in_place].iter_mut();
+        for (triangle, origin) in (0_u32..).map(TriangleId).zip(origins) {
+            *origin = Origin::Kept(OldTriangle {
+                triangle,
+                first_corner: 0,
+            });
+        }
+        num_in_place
+    }
+
+    /// Finds equal triangles where the order is the old one, from triangle `first` on.
+    fn match_in_order(&mut self, first: usize) -> Result<(), DiffError> {
         let mut fans: Option<Fans> = None;
-        let mut next_old = TriangleId(0);
-        for triangle in self.new.triangle_ids() {
+        #[expect(clippy::cast_possible_truncation, reason = "checked at construction")]
+        let mut next_old = TriangleId(first as u32);
+        for triangle in self.new.triangle_ids().skip(first) {
             let mut found = Some(next_old).filter(|&old| self.is_equal(triangle, old));
             if found.is_none() {
                 let fans = fans.get_or_insert_with(|| Fans::of(&self.old.mesh));

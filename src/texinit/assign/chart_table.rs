@@ -37,47 +37,45 @@ pub(crate) fn chart_mesh(mesh: &TriMesh, triangles: &[TriangleId]) -> TriMesh {
 }
 
 /// Chart of each triangle, and its number in the chart.
-pub(crate) struct ChartPlaces {
-    of_triangle: Vec<[u32; 2]>,
+fn places<'a>(
+    num_triangles: usize,
+    charts: impl Iterator<Item = &'a [TriangleId]>,
+) -> Vec<[u32; 2]> {
+    let mut places = vec![[u32::MAX; 2]; num_triangles];
+    for (chart, triangles) in (0_u32..).zip(charts) {
+        for (number, triangle) in (0_u32..).zip(triangles) {
+            places[triangle.index()] = [chart, number];
+        }
+    }
+    places
 }
 
-impl ChartPlaces {
-    pub(crate) fn new<'a>(
-        num_triangles: usize,
-        charts: impl Iterator<Item = &'a [TriangleId]>,
-    ) -> Self {
-        let mut of_triangle = vec![[u32::MAX; 2]; num_triangles];
-        for (chart, triangles) in (0_u32..).zip(charts) {
-            for (number, triangle) in (0_u32..).zip(triangles) {
-                of_triangle[triangle.index()] = [chart, number];
-            }
-        }
-        Self { of_triangle }
-    }
-
-    /// A frame's column in parts, by chart; triangles are named by their number in it.
-    pub(crate) fn split(&self, scored: FrameCandidates) -> BTreeMap<u32, FrameCandidates> {
-        let mut by_chart: BTreeMap<u32, FrameCandidates> = BTreeMap::new();
-        for mut candidate in scored.candidates {
-            let [chart, number] = self.of_triangle[candidate.triangle as usize];
-            candidate.triangle = number;
-            by_chart
-                .entry(chart)
-                .or_default()
-                .candidates
-                .push(candidate);
-        }
-        for (triangle, colors) in scored.valid_colors {
-            let [chart, number] = self.of_triangle[triangle as usize];
-            let part = by_chart.entry(chart).or_default();
-            part.valid_colors.push((number, colors));
-        }
-        for part in by_chart.values_mut() {
-            part.candidates.sort_unstable_by_key(|c| c.triangle);
-            part.candidates.shrink_to_fit();
-        }
+/// A frame's column in parts, by chart; triangles are named by their number in it. `place_of` gives the
+/// chart of a triangle, and that number.
+pub(crate) fn split_by_chart(
+    scored: FrameCandidates,
+    place_of: impl Fn(u32) -> [u32; 2],
+) -> BTreeMap<u32, FrameCandidates> {
+    let mut by_chart: BTreeMap<u32, FrameCandidates> = BTreeMap::new();
+    for mut candidate in scored.candidates {
+        let [chart, number] = place_of(candidate.triangle);
+        candidate.triangle = number;
         by_chart
+            .entry(chart)
+            .or_default()
+            .candidates
+            .push(candidate);
     }
+    for (triangle, colors) in scored.valid_colors {
+        let [chart, number] = place_of(triangle);
+        let part = by_chart.entry(chart).or_default();
+        part.valid_colors.push((number, colors));
+    }
+    for part in by_chart.values_mut() {
+        part.candidates.sort_unstable_by_key(|c| c.triangle);
+        part.candidates.shrink_to_fit();
+    }
+    by_chart
 }
 
 impl ScoredFrames {
@@ -91,12 +89,12 @@ impl ScoredFrames {
         let qualities = self.columns.iter().map(|(_, quality, _)| quality);
         let typical = TypicalQuality::of(qualities).in_steps();
         let triangles = || layout.charts.iter().map(|chart| &*chart.triangles);
-        let places = ChartPlaces::new(mesh.num_triangles(), triangles());
+        let places = places(mesh.num_triangles(), triangles());
         let num_frames = self.columns.len();
         let mut columns_by_chart: Vec<Vec<(u32, FrameQuality, FrameCandidates)>> =
             layout.charts.iter().map(|_| Vec::new()).collect();
         for (frame, quality, scored) in self.columns {
-            for (chart, part) in places.split(scored) {
+            for (chart, part) in split_by_chart(scored, |triangle| places[triangle as usize]) {
                 columns_by_chart[chart as usize].push((frame, quality, part));
             }
         }

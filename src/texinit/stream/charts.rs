@@ -32,6 +32,8 @@ pub(super) struct StreamChart {
     pub(super) key: Option<ChartKey>,
     /// The same triangles in the mesh that is tracked.
     pub(super) members: Vec<Member>,
+    /// The last of them there.
+    pub(super) last_member: TriangleId,
     pub(super) bounds: BoundingBox,
     /// How far a vertex may have moved since the chart was flattened, metres.
     pub(super) drift_m: f64,
@@ -54,19 +56,30 @@ impl StreamChart {
             triangle,
             first_corner: 0,
         });
-        Self {
+        let members = members.collect();
+        let mut chart = Self {
             id,
             bounds: BoundingBox::around([]),
             drift_m: 0.0,
             labels: KeptLabels::new(num_triangles),
             num_looks: 0,
-            members: members.collect(),
+            members: Vec::new(),
+            last_member: TriangleId(0),
             means: BTreeMap::new(),
             coverage: vec![Coverage::default(); num_triangles],
             gutter: None,
             key: None,
             piece,
-        }
+        };
+        chart.set_members(members);
+        chart
+    }
+
+    /// Its triangles are these in the mesh that is tracked.
+    pub(super) fn set_members(&mut self, members: Vec<Member>) {
+        let last = members.iter().map(|member| member.triangle).max();
+        self.last_member = last.unwrap_or(TriangleId(0));
+        self.members = members;
     }
 
     pub(super) fn len(&self) -> usize {
@@ -76,6 +89,11 @@ impl StreamChart {
     /// Its first triangle in the mesh.
     pub(super) fn first_triangle(&self) -> usize {
         self.piece.chart.triangles.first().map_or(0, |t| t.index())
+    }
+
+    /// The triangle after its last.
+    pub(super) fn end_triangle(&self) -> usize {
+        self.first_triangle() + self.len()
     }
 
     pub(super) fn num_bytes(&self) -> usize {
@@ -124,26 +142,44 @@ impl Dirt {
     }
 }
 
-/// The layout of some charts, whose triangles are numbered in their order.
-pub(super) fn layout_of(
+/// The layout of nothing.
+pub(super) fn empty_layout() -> AtlasLayout {
+    AtlasLayout {
+        page_size_texel: [64; 2],
+        num_pages: 0,
+        texels_per_m: 1.0,
+        charts: Vec::new(),
+        chart_of_triangle: Vec::new(),
+        corners_texel: Vec::new(),
+    }
+}
+
+/// Makes a layout that of some charts, whose triangles are numbered in their order; the first
+/// `num_staying` lie in it as they are.
+pub(super) fn lay_out(
+    layout: &mut AtlasLayout,
     charts: &[StreamChart],
+    num_staying: usize,
     placer: Option<&ChartPlacer>,
-    num_triangles: usize,
-) -> AtlasLayout {
-    let mut layout = AtlasLayout {
-        page_size_texel: placer.map_or([64; 2], ChartPlacer::page_size_texel),
-        num_pages: placer.map_or(0, ChartPlacer::num_pages),
-        texels_per_m: placer.map_or(1.0, ChartPlacer::texels_per_m),
-        charts: charts.iter().map(|c| c.piece.chart.clone()).collect(),
-        chart_of_triangle: Vec::with_capacity(num_triangles),
-        corners_texel: Vec::with_capacity(num_triangles),
-    };
-    for (id, chart) in (0_u32..).zip(charts) {
-        let ids = std::iter::repeat_n(ChartId(id), chart.len());
+) {
+    if let Some(placer) = placer {
+        layout.page_size_texel = placer.page_size_texel();
+        layout.num_pages = placer.num_pages();
+        layout.texels_per_m = placer.texels_per_m();
+    }
+    let (staying, others) = charts.split_at(num_staying);
+    let num_triangles = staying.last().map_or(0, StreamChart::end_triangle);
+    layout.charts.truncate(num_staying);
+    layout.chart_of_triangle.truncate(num_triangles);
+    layout.corners_texel.truncate(num_triangles);
+    for chart in others {
+        #[expect(clippy::cast_possible_truncation, reason = "fewer than triangles")]
+        let id = ChartId(layout.charts.len() as u32);
+        layout.charts.push(chart.piece.chart.clone());
+        let ids = std::iter::repeat_n(id, chart.len());
         layout.chart_of_triangle.extend(ids);
         layout.corners_texel.extend(&chart.piece.corners_texel);
     }
-    layout
 }
 
 /// Triangles from `first` on.

@@ -19,7 +19,7 @@ use crate::render::{
     BoundingBox, DepthBound, Frustum, KeptView, MeshPart, ViewPoint, ViewScratch, WindowFinder,
 };
 use crate::texinit::assign::Assignment;
-use crate::texinit::assign::chart_table::ChartPlaces;
+use crate::texinit::assign::chart_table::split_by_chart;
 use crate::texinit::assign::cues::{
     FrameCandidates, FrameWorkspace, Occluders, PartSight, score_part,
 };
@@ -56,7 +56,6 @@ struct Scoring<'a> {
     touched: TouchedSurface<'a>,
     /// Around all surface that came, went or moved; `None` where there is none.
     changed_bounds: Option<BoundingBox>,
-    places: ChartPlaces,
     decode: &'a Decode<'a>,
 }
 
@@ -77,17 +76,12 @@ impl StreamInit {
         observer: &dyn Observer,
         update: &mut StreamUpdate,
     ) {
-        let triangles = self
-            .charts
-            .iter()
-            .map(|chart| &*chart.piece.chart.triangles);
         let scoring = Scoring {
             state: self,
             turnover,
             change,
             touched: TouchedSurface::new(&change.gone, &change.came),
             changed_bounds: self.changed_bounds(change),
-            places: ChartPlaces::new(self.mesh.num_triangles(), triangles),
             decode,
         };
         let sightings: Vec<Result<Option<Sighting>, String>> = frames
@@ -282,7 +276,7 @@ impl Scoring<'_> {
         };
         let scored = score_part(mesh, &sight, &known.pose, &frame, params, workspace)
             .map_err(|error| error.to_string())?;
-        sighting.parts = self.places.split(scored);
+        sighting.parts = split_by_chart(scored, |triangle| self.place_of(triangle));
         if self.state.has_bounds() {
             let newer = workspace.depth_bound().coarser(BOUND_FACTOR);
             match &mut sighting.bound {
@@ -368,6 +362,14 @@ impl Scoring<'_> {
             }
         }
         runs
+    }
+
+    /// The chart of a triangle, and its number there: charts have their triangles in a row.
+    #[expect(clippy::cast_possible_truncation, reason = "numbers in a mesh")]
+    fn place_of(&self, triangle: u32) -> [u32; 2] {
+        let chart = self.state.layout.chart_of_triangle[triangle as usize];
+        let first = self.state.charts[chart.index()].first_triangle() as u32;
+        [chart.0, triangle - first]
     }
 
     /// How far from its outline surface may matter to others, for scores and for means.

@@ -6,14 +6,14 @@ use std::sync::Arc;
 use nalgebra::Point3;
 use rayon::prelude::*;
 
-use super::charts::{Dirt, Member, StreamChart, layout_of, triangles_from};
+use super::charts::{Dirt, Member, StreamChart, lay_out, triangles_from};
 use super::cover::Cover;
 use super::inherit::Orphans;
 use super::labels::KeptLabels;
 use super::{StreamError, StreamInit, StreamUpdate};
-use crate::atlas::{ChartKey, TexelSource};
+use crate::atlas::{ChartKey, ChartPlacer, TexelSource};
 use crate::mesh::{MeshDiff, OldTriangle, Origin, TriMesh, TriangleId};
-use crate::render::{BoundingBox, MeshRuns};
+use crate::render::BoundingBox;
 use crate::texinit::assign::chart_table::chart_mesh;
 use crate::texinit::flatten::{self, FlatChart};
 use crate::texinit::overlap;
@@ -27,8 +27,8 @@ pub(super) struct SurfaceChange {
     loose: Vec<TriangleId>,
     /// What is known of these.
     orphans: Orphans,
-    /// Whether the triangles of `mesh` are others, or others are in charts, than before.
-    has_new_order: bool,
+    /// Leading charts whose members are those before, under their numbers.
+    num_charts_in_place: usize,
     /// Surface that went, or moved away, as triangles in space.
     pub(super) gone: Vec<[Point3<f64>; 3]>,
     /// Surface that came, or moved there.
@@ -67,6 +67,60 @@ impl Successor {
     }
 }
 
+/// What became of old triangles, of which the first are in place.
+struct Successors {
+    num_in_place: usize,
+    others: Vec<Option<Successor>>,
+}
+
+impl Successors {
+    fn in_place(num_in_place: usize, num_before: usize) -> Self {
+        Self {
+            num_in_place,
+            others: vec![None; num_before.saturating_sub(num_in_place)],
+        }
+    }
+
+    fn set(&mut self, old: TriangleId, successor: Successor) {
+        self.others[old.index() - self.num_in_place] = Some(successor);
+    }
+
+    /// What became of a member.
+    fn of(&self, member: &Member) -> Option<Successor> {
+        match member.triangle.index().checked_sub(self.num_in_place) {
+            Some(index) => Some(self.others[index]?.from(*member)),
+            None => Some(Successor {
+                member: *member,
+                is_moved: false,
+            }),
+        }
+    }
+}
+
+/// Vertices of triangles that are new or changed.
+struct BesideChange {
+    is_vertex: Vec<bool>,
+    bounds: BoundingBox,
+}
+
+impl BesideChange {
+    fn of(mesh: &TriMesh, triangles: &[TriangleId]) -> Self {
+        let mut is_vertex = vec![false; mesh.num_vertices()];
+        for vertex in triangles.iter().flat_map(|t| mesh.triangles()[t.index()]) {
+            is_vertex[vertex as usize] = true;
+        }
+        Self {
+            is_vertex,
+            bounds: BoundingBox::of(mesh, triangles.iter().copied()),
+        }
+    }
+
+    fn meets(&self, mesh: &TriMesh, triangle: TriangleId) -> bool {
+        let mut corners = mesh.triangles()[triangle.index()].into_iter();
+        corners.any(|vertex| self.is_vertex[vertex as usize])
+    }
+}
+
 impl StreamInit {
     /// Compares the mesh with the one before, and takes charts apart that lost triangles.
     pub(super) fn take_mesh(
@@ -82,20 +136,21 @@ impl StreamInit {
             return Ok(SurfaceChange {
                 is_touched: vec![false; mesh.num_vertices()],
                 dirt: vec![Dirt::default(); self.charts.len()],
+                num_charts_in_place: self.charts.len(),
                 mesh,
                 ..SurfaceChange::default()
             });
         };
         update.mesh = found.counts();
+        let num_in_place = found.num_in_place();
         let mut change = SurfaceChange {
-            gone: gone(&before, &found),
-            came: came(&mesh, &found),
-            is_touched: found.is_touched.clone(),
-            has_new_order: true,
+            gone: gone(&before, &found, num_in_place),
+            came: came(&mesh, &found, num_in_place),
             mesh,
             ..SurfaceChange::default()
         };
-        self.part_charts(&found, &mut change, update);
+        self.part_charts(&found, num_in_place, &mut change, update);
+        change.is_touched = found.is_touched;
         Ok(change)
     }
 
@@ -115,51 +170,52 @@ impl StreamInit {
         })
     }
 
-    /// Keeps the charts that can stay, and takes the others off their pages.
+    /// Keeps the charts that can stay, and takes the others off their pages. The first `num_in_place`
+    /// triangles are as they were, under their numbers.
     fn part_charts(
         &mut self,
         found: &MeshDiff,
+        num_in_place: usize,
         change: &mut SurfaceChange,
         update: &mut StreamUpdate,
     ) {
-        let num_before = self.charts.iter().map(StreamChart::len).sum();
-        let mut successors: Vec<Option<Successor>> = vec![None; num_before];
-        let mut is_beside_change = vec![false; change.mesh.num_vertices()];
-        for (triangle, origin) in change.mesh.triangle_ids().zip(&found.origins) {
+        let num_before: usize = self.charts.iter().map(StreamChart::len).sum();
+        let mut successors = Successors::in_place(num_in_place, num_before);
+        let triangles = change.mesh.triangle_ids().zip(&found.origins);
+        for (triangle, origin) in triangles.skip(num_in_place) {
             match *origin {
-                Origin::Kept(old) => {
-                    successors[old.triangle.index()] = Some(after(triangle, old, false))
-                }
-                Origin::Moved(old) => {
-                    successors[old.triangle.index()] = Some(after(triangle, old, true))
-                }
-                Origin::Changed | Origin::New => {
-                    for vertex in change.mesh.triangles()[triangle.index()] {
-                        is_beside_change[vertex as usize] = true;
-                    }
-                }
+                Origin::Kept(old) => successors.set(old.triangle, after(triangle, old, false)),
+                Origin::Moved(old) => successors.set(old.triangle, after(triangle, old, true)),
+                Origin::Changed | Origin::New => change.loose.push(triangle),
             }
         }
-        let mut is_loose = vec![true; change.mesh.num_triangles()];
-        for mut chart in std::mem::take(&mut self.charts) {
-            let after_of =
-                |member: &Member| Some(successors[member.triangle.index()]?.from(*member));
-            let after: Option<Vec<Successor>> = chart.members.iter().map(after_of).collect();
+        let beside = BesideChange::of(&change.mesh, &change.loose);
+        let charts = std::mem::take(&mut self.charts);
+        self.charts.reserve(charts.len());
+        let mut are_all_in_place = true;
+        for mut chart in charts {
+            let is_in_place = chart.last_member.index() < num_in_place;
+            let after: Option<Vec<Successor>> = match is_in_place {
+                true => Some(Vec::new()),
+                false => chart.members.iter().map(|m| successors.of(m)).collect(),
+            };
             let stays = after.filter(|after| {
-                self.has_density && self.may_stay(&mut chart, after, change, &is_beside_change)
+                self.has_density && self.may_stay(&mut chart, after, change, &beside)
             });
             match stays {
                 Some(after) => {
-                    for successor in &after {
-                        is_loose[successor.member.triangle.index()] = false;
-                    }
+                    are_all_in_place &= is_in_place;
+                    change.num_charts_in_place += usize::from(are_all_in_place);
                     change.adopt(&mut chart, &after);
                     self.charts.push(chart);
                 }
                 None => {
+                    are_all_in_place = false;
                     update.gone_charts.push(chart.id);
                     self.take_off(&chart);
-                    let after = (0_u32..).zip(chart.members.iter().map(after_of));
+                    let after = (0_u32..).zip(chart.members.iter().map(|m| successors.of(m)));
+                    let left = after.clone().filter_map(|(_, after)| after);
+                    change.loose.extend(left.map(|after| after.member.triangle));
                     let staying =
                         after.filter_map(|(number, after)| Some((number, after?.as_it_was()?)));
                     change.orphans.take(staying, chart.labels.into_table());
@@ -167,26 +223,27 @@ impl StreamInit {
             }
         }
         change.orphans.settle();
-        let triangles = change.mesh.triangle_ids();
-        change.loose = triangles.filter(|t| is_loose[t.index()]).collect();
+        change.loose.sort_unstable();
     }
 
-    /// Whether a chart that has all its triangles still is as good as a new one.
+    /// Whether a chart that has all its triangles still is as good as a new one; `after` is empty where they
+    /// are in place.
     fn may_stay(
         &self,
         chart: &mut StreamChart,
         after: &[Successor],
         change: &SurfaceChange,
-        is_beside_change: &[bool],
+        beside: &BesideChange,
     ) -> bool {
-        let is_beside = |successor: &Successor| {
-            let corners = change.mesh.triangles()[successor.member.triangle.index()];
-            corners
-                .iter()
-                .any(|&vertex| is_beside_change[vertex as usize])
-        };
-        if chart.len() < self.stream.remake_below_triangles && after.iter().any(is_beside) {
-            return false;
+        if chart.len() < self.stream.remake_below_triangles {
+            let is_beside = |member: &Member| beside.meets(&change.mesh, member.triangle);
+            let is_any_beside = match after.is_empty() {
+                true => beside.bounds.meets(&chart.bounds) && chart.members.iter().any(is_beside),
+                false => after.iter().any(|successor| is_beside(&successor.member)),
+            };
+            if is_any_beside {
+                return false;
+            }
         }
         let mut farthest_m = 0.0_f64;
         let before = chart.piece.chart.triangles.iter();
@@ -226,7 +283,7 @@ impl StreamInit {
         self.charts.clear();
         self.texture.pages.clear();
         self.placer = None;
-        change.has_new_order = true;
+        change.num_charts_in_place = 0;
         change.dirt.clear();
         change.loose = change.mesh.triangle_ids().collect();
     }
@@ -254,18 +311,34 @@ impl StreamInit {
     /// before.
     pub(super) fn lay_out(&mut self, change: &mut SurfaceChange) {
         let is_relaid = |dirt: &Dirt| dirt.is_fresh || dirt.is_relaid || dirt.is_renumbered;
-        if !change.has_new_order && !change.dirt.iter().any(is_relaid) {
+        let is_other = |dirt: &Dirt| is_relaid(dirt) || dirt.is_moved();
+        let num_renumberings = self.tracked.num_renumberings();
+        let is_renumbered =
+            std::mem::replace(&mut self.num_renumberings, num_renumberings) != num_renumberings;
+        let num_staying = match is_renumbered {
+            true => 0,
+            false => change.num_charts_in_place,
+        };
+        let in_place = change.dirt[..num_staying].iter();
+        let num_staying = in_place.take_while(|dirt| !is_other(dirt)).count();
+        let num_pages = self.placer.as_ref().map_or(0, ChartPlacer::num_pages);
+        let num_charts = [self.layout.charts.len(), self.charts.len()];
+        if num_charts == [num_staying; 2] && self.layout.num_pages == num_pages {
             return;
         }
-        let mut triangles = Vec::with_capacity(change.mesh.num_triangles());
-        for chart in &mut self.charts {
-            chart.piece.chart.triangles = triangles_from(triangles.len(), chart.members.len());
-            triangles.extend(chart.members.iter().map(|&member| change.corners(member)));
+        let (staying, others) = self.charts.split_at_mut(num_staying);
+        let first = staying.last().map_or(0, StreamChart::end_triangle);
+        let mut end = first;
+        for chart in &mut *others {
+            chart.piece.chart.triangles = triangles_from(end, chart.members.len());
+            end += chart.members.len();
         }
-        // All are triangles of the mesh given: nothing is refused or left out.
-        let mesh = TriMesh::from_soup(change.mesh.positions_m().to_vec(), triangles);
-        self.mesh = Arc::new(mesh.map(|(mesh, _)| mesh).unwrap_or_default());
-        self.runs = MeshRuns::new(&self.mesh);
+        let members = others.iter().flat_map(|chart| &chart.members);
+        let corners = members.map(|&member| change.corners(member));
+        // What was shown keeps its own.
+        let mesh = Arc::make_mut(&mut self.mesh);
+        mesh.relist(&change.mesh, first, corners);
+        self.runs.renew(mesh, first);
         for (chart, dirt) in self.charts.iter_mut().zip(&mut change.dirt) {
             if dirt.is_fresh {
                 let triangles = chart.members.iter().map(|member| member.triangle);
@@ -283,12 +356,12 @@ impl StreamInit {
             }
         }
         change.orphans = Orphans::default();
-        let num_triangles = self.mesh.num_triangles();
-        self.layout = Arc::new(layout_of(&self.charts, self.placer.as_ref(), num_triangles));
+        let layout = Arc::make_mut(&mut self.layout);
+        lay_out(layout, &self.charts, num_staying, self.placer.as_ref());
         let (mesh, layout) = (&self.mesh, &self.layout);
         let charts = self.charts.par_iter_mut().zip(&change.dirt);
         charts.for_each(|(chart, dirt)| {
-            if chart.key.is_none() || dirt.is_moved() || is_relaid(dirt) {
+            if chart.key.is_none() || is_other(dirt) {
                 let placed = &chart.piece.chart;
                 let triangles = placed.triangles.iter().copied();
                 chart.key = Some(ChartKey::of(mesh, layout, placed, triangles));
@@ -297,9 +370,10 @@ impl StreamInit {
     }
 }
 
-/// Where surface is no more.
-fn gone(before: &TriMesh, found: &MeshDiff) -> Vec<[Point3<f64>; 3]> {
-    let moved = found.origins.iter().filter_map(|origin| match origin {
+/// Where surface is no more; the first `num_in_place` triangles stay.
+fn gone(before: &TriMesh, found: &MeshDiff, num_in_place: usize) -> Vec<[Point3<f64>; 3]> {
+    let moved = found.origins[num_in_place..].iter();
+    let moved = moved.filter_map(|origin| match origin {
         Origin::Moved(old) => Some(old.triangle),
         _ => None,
     });
@@ -307,9 +381,9 @@ fn gone(before: &TriMesh, found: &MeshDiff) -> Vec<[Point3<f64>; 3]> {
     gone.map(|triangle| before.corners_m(triangle)).collect()
 }
 
-/// Where surface is that was not there.
-fn came(mesh: &TriMesh, found: &MeshDiff) -> Vec<[Point3<f64>; 3]> {
-    let came = mesh.triangle_ids().zip(&found.origins);
+/// Where surface is that was not there; not among the first `num_in_place` triangles.
+fn came(mesh: &TriMesh, found: &MeshDiff, num_in_place: usize) -> Vec<[Point3<f64>; 3]> {
+    let came = mesh.triangle_ids().zip(&found.origins).skip(num_in_place);
     came.filter(|(_, origin)| !matches!(origin, Origin::Kept(_)))
         .map(|(triangle, _)| mesh.corners_m(triangle))
         .collect()
@@ -338,14 +412,18 @@ impl SurfaceChange {
             .map(|vertex| self.mesh.positions_m()[vertex as usize])
     }
 
-    /// Adds a chart that stays.
+    /// Adds a chart that stays; `after` is empty where its triangles are in place.
     fn adopt(&mut self, chart: &mut StreamChart, after: &[Successor]) {
         let mut dirt = Dirt::default();
+        if after.is_empty() {
+            self.dirt.push(dirt);
+            return;
+        }
         if after.iter().any(|successor| successor.is_moved) {
             dirt.moved = after.iter().map(|successor| successor.is_moved).collect();
         }
         debug_assert_eq!(chart.len(), after.len(), "a successor per triangle");
-        chart.members = after.iter().map(|successor| successor.member).collect();
+        chart.set_members(after.iter().map(|successor| successor.member).collect());
         self.dirt.push(dirt);
     }
 
