@@ -46,20 +46,24 @@ impl DecodedFrame {
         known_depth: Option<DecodedDepth>,
         lenses: &LensCache,
     ) -> Result<Self, ImageError> {
-        let recorded = keyframe.color.decode()?;
-        let (color, color_camera) = match lenses.map(&keyframe.color_camera)? {
-            Some(map) => (map.color(&recorded)?, *map.color_camera()),
-            None => (recorded, keyframe.color_camera.pinhole),
+        let decode_color = || {
+            let recorded = keyframe.color.decode()?;
+            Ok::<_, ImageError>(match lenses.map(&keyframe.color_camera)? {
+                Some(map) => (map.color(&recorded)?, *map.color_camera()),
+                None => (recorded, keyframe.color_camera.pinhole),
+            })
         };
-        let depth = match (known_depth, &keyframe.depth) {
-            (Some(known), _) => Some(known),
-            (None, Some(half)) => Some(DecodedDepth::undistorted(
-                half,
-                half.image.decode()?,
-                lenses,
-            )?),
-            (None, None) => None,
+        let decode_depth = || match (known_depth, &keyframe.depth) {
+            (Some(known), _) => Ok(Some(known)),
+            (None, Some(half)) => {
+                let recorded = half.image.decode()?;
+                DecodedDepth::undistorted(half, recorded, lenses).map(Some)
+            }
+            (None, None) => Ok(None),
         };
+        // Few frames come at a time: the two halves keep two cores busy with one.
+        let (color, depth) = rayon::join(decode_color, decode_depth);
+        let ((color, color_camera), depth) = (color?, depth?);
         Ok(Self {
             color,
             color_camera,

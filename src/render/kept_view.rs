@@ -151,7 +151,7 @@ impl KeptView {
 mod tests {
     use super::*;
     use crate::render::{
-        MeshRuns, VisibilityBuffer, VisibilityParams, WindowFinder, rasterize_part,
+        MeshRuns, SurfacePoint, VisibilityBuffer, VisibilityParams, WindowFinder, rasterize_part,
     };
     use nalgebra::{UnitQuaternion, Vector3};
     use proptest::prelude::*;
@@ -225,9 +225,15 @@ mod tests {
                 let mut once = VisibilityBuffer::default();
                 once.update(&mesh, &camera, &pose, &params).unwrap();
                 let mut loaded = VisibilityBuffer::default();
-                loaded.load(&kept, &camera, &params, finder.whole()).unwrap();
+                loaded.load(&kept, &camera, &params, finder.whole(), 0).unwrap();
                 prop_assert_eq!(&loaded.view().depth_m, &once.view().depth_m);
                 prop_assert_eq!(loaded.depth_bound(), once.depth_bound());
+                for index in 0..160 * 120 / 9 {
+                    let [x_px, y_px] = [3 * index % 160, 3 * index / 160 * 3].map(f64::from);
+                    let point = SurfacePoint { position_px: [x_px, y_px], depth_m: 2.0, slope_m: 0.01 };
+                    let is_near = once.is_near_depth_edge(&point);
+                    prop_assert_eq!(loaded.is_near_depth_edge(&point), is_near);
+                }
                 let mut view = ViewBuffer::default();
                 let raster = &mut RasterWorkspace::default();
                 rasterize_part(&mesh, &part_of(&mesh), &own, &pose, raster, &mut view);

@@ -177,6 +177,11 @@ impl MeshPart {
         &self.triangles
     }
 
+    /// How many triangles it has.
+    pub fn num_triangles(&self) -> usize {
+        self.triangles.iter().map(ExactSizeIterator::len).sum()
+    }
+
     /// The triangles, ascending, with their vertices.
     pub fn triangles<'a>(
         &'a self,

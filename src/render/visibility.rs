@@ -102,6 +102,8 @@ pub struct VisibilityBuffer {
     /// Greatest depth within the window; 0 where it is empty.
     farthest_m: Vec<f32>,
     scratch_m: Vec<f32>,
+    /// Whether the two are made for the window; else each test looks at the depths around its point.
+    has_extremes: bool,
     bound: DepthBound,
     /// Columns of the whole buffer.
     num_columns: u32,
@@ -113,6 +115,9 @@ pub struct VisibilityBuffer {
 
 /// Side of the blocks of the bound, pixels of the buffer.
 const BLOCK_PX: usize = 4;
+
+/// To look around one point takes as long as to make the extremes of so many pixels.
+const PIXELS_PER_EDGE_TEST: usize = 10;
 
 impl VisibilityBuffer {
     /// Draws the mesh as `camera` sees it.
@@ -172,11 +177,13 @@ impl VisibilityBuffer {
             &mut self.view,
         );
         self.judge(camera, params, window);
+        self.expect_edge_tests(usize::MAX);
         Ok(())
     }
 
     /// What [`Self::update_window`] draws, from depths that are kept of the view, none of them stale in
-    /// the window. Ids of triangles are not kept.
+    /// the window. Ids of triangles are not kept. About as many points as `num_edge_tests` will be tested
+    /// for depth edges; what the tests say does not depend on it, how long they take does.
     ///
     /// # Errors
     /// [`CameraError`] when the camera cannot be scaled to the buffer's size.
@@ -186,6 +193,7 @@ impl VisibilityBuffer {
         camera: &PinholeCamera,
         params: &VisibilityParams,
         window: PixelWindow,
+        num_edge_tests: usize,
     ) -> Result<(), CameraError> {
         let [width, height] = buffer_size(camera, params.max_width_px);
         camera.resized(width, height)?;
@@ -198,6 +206,7 @@ impl VisibilityBuffer {
             }
         }
         self.judge(camera, params, window);
+        self.expect_edge_tests(num_edge_tests);
         Ok(())
     }
 
@@ -213,8 +222,15 @@ impl VisibilityBuffer {
         self.params = params.clone();
         self.drop_far();
         self.bound.update(&self.view, window, self.scale, BLOCK_PX);
-        if params.edge_margin_px > 0 {
+        self.has_extremes = false;
+    }
+
+    /// Makes the extremes around every pixel at once, where that is faster than around each point.
+    fn expect_edge_tests(&mut self, num_tests: usize) {
+        let num_pixels = self.view.depth_m.len();
+        if self.params.edge_margin_px > 0 && num_tests >= num_pixels / PIXELS_PER_EDGE_TEST {
             self.spread_extremes();
+            self.has_extremes = true;
         }
     }
 
@@ -250,10 +266,34 @@ impl VisibilityBuffer {
             let step_m = self.params.edge_step * point.depth_m
                 + 2.0 * self.params.tolerance_m
                 + self.tolerance_m(point, reach_px);
-            let nearest_m = f64::from(self.nearest_m[index]);
-            let farthest_m = f64::from(self.farthest_m[index]);
+            let [nearest_m, farthest_m] = self.extremes_m(index).map(f64::from);
             nearest_m + step_m < point.depth_m || farthest_m > point.depth_m + step_m
         })
+    }
+
+    /// Lowest and greatest depth around a pixel, infinite and 0 where nothing is drawn.
+    fn extremes_m(&self, index: usize) -> [f32; 2] {
+        if self.has_extremes {
+            return [self.nearest_m[index], self.farthest_m[index]];
+        }
+        let [width, height] = [self.view.width, self.view.height].map(|side| side as usize);
+        let margin = self.margin_px() as usize;
+        let (x, y) = (index % width, index / width);
+        let columns = x.saturating_sub(margin)..(x + margin + 1).min(width);
+        let (mut nearest_m, mut farthest_m) = (f32::INFINITY, 0.0_f32);
+        for row in y.saturating_sub(margin)..(y + margin + 1).min(height) {
+            let start = row * width;
+            for &depth_m in &self.view.depth_m[start + columns.start..start + columns.end] {
+                let is_nearer = depth_m > 0.0 && depth_m < nearest_m;
+                nearest_m = if is_nearer { depth_m } else { nearest_m };
+                farthest_m = if depth_m > farthest_m {
+                    depth_m
+                } else {
+                    farthest_m
+                };
+            }
+        }
+        [nearest_m, farthest_m]
     }
 
     /// How far it sees at most.

@@ -156,8 +156,9 @@ pub(crate) fn fill_triangles(
         is_wanted,
         colours: &colours,
         linear: &solved.linear,
+        neutral_srgb: params.neutral_srgb,
     };
-    filling.paint(texture, params, &mut report);
+    filling.paint(texture, &mut report);
     report
 }
 
@@ -374,11 +375,27 @@ fn add(sum: &mut [f64; 4], term: [f64; 4]) {
     }
 }
 
-/// A texel of a page and its new colour; none when it is neutral.
-type Filled = (usize, Option<[u8; 3]>);
+/// A texel of a page, and its new colour.
+#[derive(Clone, Copy)]
+struct Filled {
+    texel: u32,
+    srgb: [u8; 3],
+}
+
+/// What a chart's texels become.
+#[derive(Default)]
+struct FilledChart {
+    /// First and last row that it fills; none where it fills nothing.
+    rows: Option<[usize; 2]>,
+    texels: Vec<Filled>,
+    num_neutral: usize,
+}
 
 /// Charts done at a time; bounds what is held before it is written.
 const CHARTS_PER_BATCH: usize = 256;
+
+/// Rows of a page that one task writes.
+const BAND_ROWS: usize = 128;
 
 /// What filling reads.
 struct Filling<'a> {
@@ -388,76 +405,124 @@ struct Filling<'a> {
     colours: &'a VertexColours,
     /// Per vertex.
     linear: &'a [Option<[f64; 3]>],
+    neutral_srgb: [u8; 3],
 }
 
 impl Filling<'_> {
-    fn paint(&self, texture: &mut AtlasTexture, params: &FillParams, report: &mut FillReport) {
-        for batch in self.layout.charts.chunks(CHARTS_PER_BATCH) {
-            let by_chart: Vec<Vec<Filled>> = batch
+    fn paint(&self, texture: &mut AtlasTexture, report: &mut FillReport) {
+        let has_to_be_filled =
+            |chart: &&PlacedChart| chart.triangles.iter().any(|t| self.has_to_be_filled(*t));
+        let charts: Vec<&PlacedChart> =
+            self.layout.charts.iter().filter(has_to_be_filled).collect();
+        for batch in charts.chunks(CHARTS_PER_BATCH) {
+            let by_chart: Vec<FilledChart> = batch
                 .par_iter()
                 .map(|chart| self.fill_chart(chart, texture))
                 .collect();
-            for (chart, filled) in batch.iter().zip(by_chart) {
-                let Some(page) = texture.pages.get_mut(chart.page as usize) else {
-                    continue;
-                };
-                if filled.is_empty() {
-                    continue;
-                }
-                let page = page.to_mut();
-                for (index, srgb) in filled {
-                    page.srgb[index] = srgb.unwrap_or(params.neutral_srgb);
-                    page.source[index] = TexelSource::DIFFUSED;
-                    page.confidence[index] = 0;
-                    match srgb {
-                        Some(_) => report.num_diffused_texels += 1,
-                        None => report.num_neutral_texels += 1,
-                    }
-                }
+            for filled in &by_chart {
+                report.num_neutral_texels += filled.num_neutral;
+                report.num_diffused_texels += filled.texels.len() - filled.num_neutral;
             }
+            let pages = texture.pages.par_iter_mut();
+            pages.enumerate().for_each(|(number, page)| {
+                let on_page = batch.iter().zip(&by_chart);
+                let on_page = on_page.filter(|(chart, _)| chart.page as usize == number);
+                let on_page: Vec<&FilledChart> = on_page.map(|(_, filled)| filled).collect();
+                if on_page.iter().any(|filled| !filled.texels.is_empty()) {
+                    write(&on_page, page.to_mut());
+                }
+            });
         }
     }
 
-    fn fill_chart(&self, chart: &PlacedChart, texture: &AtlasTexture) -> Vec<Filled> {
-        let mut filled = Vec::new();
+    fn has_to_be_filled(&self, triangle: TriangleId) -> bool {
+        let index = triangle.index();
+        let is_wanted = self.is_wanted.get(index).copied().unwrap_or(false);
+        is_wanted && self.coverage[index].num_unpainted > 0
+    }
+
+    fn fill_chart(&self, chart: &PlacedChart, texture: &AtlasTexture) -> FilledChart {
+        let mut filled = FilledChart::default();
         let Some(page) = texture.pages.get(chart.page as usize) else {
             return filled;
         };
-        let has_to_be_filled = |triangle: &&TriangleId| {
-            let index = triangle.index();
-            let is_wanted = self.is_wanted.get(index).copied().unwrap_or(false);
-            is_wanted && self.coverage[index].num_unpainted > 0
-        };
-        for &triangle in chart.triangles.iter().filter(has_to_be_filled) {
+        let wanted = |triangle: &&TriangleId| self.has_to_be_filled(**triangle);
+        for &triangle in chart.triangles.iter().filter(wanted) {
             let corners = self
                 .colours
                 .vertices
                 .of_triangle(triangle)
                 .map(|vertex| vertex.and_then(|v| self.linear[v]));
+            let blend = match corners {
+                [Some(a), Some(b), Some(c)] => Some(Blend::new([a, b, c])),
+                _ => None,
+            };
             for_each_index(self.layout, triangle, |index, weights| {
                 if is_painted(page.source[index]) {
                     return;
                 }
-                let srgb = match corners {
-                    [Some(a), Some(b), Some(c)] => Some(blend([a, b, c], weights)),
-                    _ => None,
-                };
-                filled.push((index, srgb));
+                let row = index / (page.width as usize).max(1);
+                let [first, last] = filled.rows.unwrap_or([row; 2]);
+                filled.rows = Some([first.min(row), last.max(row)]);
+                filled.num_neutral += usize::from(blend.is_none());
+                #[expect(
+                    clippy::cast_possible_truncation,
+                    reason = "a page has 32 bits of texels"
+                )]
+                filled.texels.push(Filled {
+                    texel: index as u32,
+                    srgb: match &blend {
+                        Some(blend) => blend.at(weights),
+                        None => self.neutral_srgb,
+                    },
+                });
             });
         }
         filled
     }
 }
 
-fn blend(linear: [[f64; 3]; 3], weights: [f32; 3]) -> [u8; 3] {
-    std::array::from_fn(|channel| {
-        let value: f64 = (0..3)
-            .map(|corner| linear[corner][channel] * f64::from(weights[corner]))
-            .sum();
-        #[expect(clippy::cast_possible_truncation, reason = "rounding to f32 is meant")]
-        let value = value as f32;
-        srgb_from_linear(value)
-    })
+/// Writes the texels of charts to their page, band by band.
+fn write(charts: &[&FilledChart], page: &mut TexturePage) {
+    let band_len = BAND_ROWS * (page.width as usize).max(1);
+    let srgb = page.srgb.par_chunks_mut(band_len);
+    let source = page.source.par_chunks_mut(band_len);
+    let confidence = page.confidence.par_chunks_mut(band_len);
+    let bands = srgb.zip(source).zip(confidence).enumerate();
+    bands.for_each(|(band, ((srgb, source), confidence))| {
+        let (first, rows) = (band * band_len, band * BAND_ROWS..(band + 1) * BAND_ROWS);
+        let meets = |filled: &&&FilledChart| {
+            let reach = filled.rows;
+            reach.is_some_and(|[top, bottom]| top < rows.end && bottom >= rows.start)
+        };
+        for texel in charts
+            .iter()
+            .filter(meets)
+            .flat_map(|filled| &filled.texels)
+        {
+            let index = (texel.texel as usize).wrapping_sub(first);
+            if let Some(srgb) = srgb.get_mut(index) {
+                *srgb = texel.srgb;
+                source[index] = TexelSource::DIFFUSED;
+                confidence[index] = 0;
+            }
+        }
+    });
+}
+
+/// The colours at a triangle's corners, by channel.
+struct Blend([[f32; 3]; 3]);
+
+impl Blend {
+    #[expect(clippy::cast_possible_truncation, reason = "rounding to f32 is meant")]
+    fn new(linear: [[f64; 3]; 3]) -> Self {
+        Self([0, 1, 2].map(|channel: usize| linear.map(|corner| corner[channel] as f32)))
+    }
+
+    fn at(&self, weights: [f32; 3]) -> [u8; 3] {
+        self.0
+            .map(|[a, b, c]| srgb_from_linear(a * weights[0] + b * weights[1] + c * weights[2]))
+    }
 }
 
 #[cfg(test)]

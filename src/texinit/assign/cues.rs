@@ -16,6 +16,9 @@ use super::{AssignParams, ColorCue, DepthCue, FramePose};
 /// The resolution cue is 0 at this many pixels per metre.
 const REFERENCE_PX_PER_M: f64 = 100.0;
 
+/// Corners and centroid are tested for depth edges.
+const EDGE_TESTS_PER_TRIANGLE: usize = 4;
+
 /// The sum of three sRGB colours, ten bits a channel; the top bit is free for a mark.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct TripleColor(u32);
@@ -245,7 +248,9 @@ pub(crate) fn score_part(
                 sight.window,
             )?,
             Occluders::Kept(view) => {
-                visibility.load(view, camera, visibility_params, sight.window)?;
+                let num_edge_tests = EDGE_TESTS_PER_TRIANGLE * part.num_triangles();
+                let window = sight.window;
+                visibility.load(view, camera, visibility_params, window, num_edge_tests)?;
             }
         }
     }

@@ -11,7 +11,7 @@ use super::FillParams;
 use crate::mesh::{TriMesh, TriangleId};
 
 /// Change of a linear colour in one sweep below which sweeping stops: under a tenth of a byte.
-const CONVERGED: f64 = 2e-4;
+const CONVERGED: f32 = 2e-4;
 
 /// Edges shorter than this count as this long.
 const MIN_EDGE_M: f64 = 1e-6;
@@ -219,17 +219,23 @@ fn relax(
     let mut most_sweeps = 0;
     let mut place_of = vec![ABSENT; linear.len()];
     for region in regions(graph, order, linear.len()) {
-        let mut system = System::new(graph, &region, linear, &mut place_of);
+        let mut system = System::new(
+            graph,
+            &region,
+            linear,
+            &mut place_of,
+            params.over_relaxation,
+        );
         let mut num_sweeps = 0;
         while num_sweeps < params.max_sweeps {
-            let change = system.sweep(num_sweeps % 2 == 1, params.over_relaxation);
+            let change = system.sweep(num_sweeps % 2 == 1);
             num_sweeps += 1;
             if change < CONVERGED {
                 break;
             }
         }
-        for (&vertex, value) in region.iter().zip(&system.values) {
-            linear[vertex] = Some(*value);
+        for (&vertex, [r, g, b, _]) in region.iter().zip(&system.values) {
+            linear[vertex] = Some([*r, *g, *b].map(f64::from));
         }
         most_sweeps = most_sweeps.max(num_sweeps);
     }
@@ -269,31 +275,42 @@ fn regions(graph: &Graph, order: &[usize], num_vertices: usize) -> Vec<Vec<usize
     regions
 }
 
-/// The free vertices in their order, then the given ones, close together for sweeping.
+/// A linear colour, padded so that all of it is worked on at once.
+type Colour = [f32; 4];
+
+/// The free vertices in their order, then the given ones, close together for sweeping. In `f32`, whose
+/// rounding is far below [`CONVERGED`].
 struct System {
-    values: Vec<[f64; 3]>,
-    start: Vec<usize>,
+    values: Vec<Colour>,
+    start: Vec<u32>,
     /// Place of the neighbour and its share of the mean.
-    shares: Vec<(u32, f64)>,
-    low: [f64; 3],
-    high: [f64; 3],
+    shares: Vec<(u32, f32)>,
+    low: Colour,
+    high: Colour,
+    over_relaxation: f32,
 }
 
 impl System {
     /// `place_of` is [`ABSENT`] for all vertices, and is so again afterwards.
+    #[expect(
+        clippy::cast_possible_truncation,
+        reason = "rounding to f32 is meant; a mesh has 32 bits of sides"
+    )]
     fn new(
         graph: &Graph,
         order: &[usize],
         linear: &[Option<[f64; 3]>],
         place_of: &mut [u32],
+        over_relaxation: f64,
     ) -> Self {
         let mut values = Vec::with_capacity(order.len());
         let mut placed = Vec::with_capacity(order.len());
         let mut place = |vertex: usize| {
             let slot = &mut place_of[vertex];
             if *slot == ABSENT {
-                *slot = u32::try_from(values.len()).unwrap_or(ABSENT);
-                values.push(linear[vertex].unwrap_or_default());
+                *slot = values.len() as u32;
+                let [r, g, b] = linear[vertex].unwrap_or_default().map(|value| value as f32);
+                values.push([r, g, b, 0.0]);
                 placed.push(vertex);
             }
             *slot
@@ -301,21 +318,22 @@ impl System {
         for &vertex in order {
             place(vertex);
         }
-        let mut start = vec![0];
+        let mut start = Vec::with_capacity(order.len() + 1);
+        start.push(0);
         let mut shares = Vec::new();
         for &vertex in order {
             let neighbours = graph.of(vertex);
             let total: f64 = neighbours.iter().map(|(_, weight)| weight).sum();
-            let share = |&(to, weight): &(u32, f64)| (place(to as usize), weight / total);
+            let share = |&(to, weight): &(u32, f64)| (place(to as usize), (weight / total) as f32);
             shares.extend(neighbours.iter().map(share));
-            start.push(shares.len());
+            start.push(shares.len() as u32);
         }
         for vertex in placed {
             place_of[vertex] = ABSENT;
         }
-        let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
+        let (mut low, mut high) = ([f32::INFINITY; 4], [f32::NEG_INFINITY; 4]);
         for value in &values {
-            for k in 0..3 {
+            for k in 0..4 {
                 low[k] = low[k].min(value[k]);
                 high[k] = high[k].max(value[k]);
             }
@@ -326,35 +344,37 @@ impl System {
             shares,
             low,
             high,
+            over_relaxation: over_relaxation as f32,
         }
     }
 
     /// Relaxes every free vertex once; returns the largest change.
-    fn sweep(&mut self, is_backward: bool, over_relaxation: f64) -> f64 {
+    fn sweep(&mut self, is_backward: bool) -> f32 {
         let num_free = self.start.len() - 1;
-        let mut largest_change = 0.0f64;
+        let mut largest_change = [0.0_f32; 4];
         for step in 0..num_free {
             let vertex = if is_backward {
                 num_free - 1 - step
             } else {
                 step
             };
-            let mut mean = [0.0; 3];
-            for &(neighbour, share) in &self.shares[self.start[vertex]..self.start[vertex + 1]] {
+            let mut mean = [0.0_f32; 4];
+            let of_vertex = self.start[vertex] as usize..self.start[vertex + 1] as usize;
+            for &(neighbour, share) in &self.shares[of_vertex] {
                 let value = self.values[neighbour as usize];
-                for k in 0..3 {
+                for k in 0..4 {
                     mean[k] += share * value[k];
                 }
             }
-            for (k, value) in self.values[vertex].iter_mut().enumerate() {
+            let value = &mut self.values[vertex];
+            for k in 0..4 {
                 // Over-relaxing may overshoot the range, which the solution never leaves.
-                let relaxed = (*value + over_relaxation * (mean[k] - *value))
-                    .max(self.low[k])
-                    .min(self.high[k]);
-                largest_change = largest_change.max((relaxed - *value).abs());
-                *value = relaxed;
+                let relaxed = value[k] + self.over_relaxation * (mean[k] - value[k]);
+                let relaxed = relaxed.max(self.low[k]).min(self.high[k]);
+                largest_change[k] = largest_change[k].max((relaxed - value[k]).abs());
+                value[k] = relaxed;
             }
         }
-        largest_change
+        largest_change.into_iter().fold(0.0, f32::max)
     }
 }

@@ -10,12 +10,14 @@ use super::charts::{Dirt, StreamChart};
 use super::cover::Cover;
 use super::keyframes::Turnover;
 use super::surface::SurfaceChange;
+use super::view::KnownView;
 use super::views::ViewSlot;
 use super::{StreamInit, StreamUpdate};
 use crate::atlas::gutter::Gutter;
 use crate::atlas::{TexelSource, for_each_texel_within};
 use crate::keyframe::Keyframe;
 use crate::mesh::{TriMesh, TriangleId};
+use crate::render::{BoundingBox, DepthBound};
 use crate::texinit::assign::{Assignment, FramePose};
 use crate::texinit::fill::{Coverage, Surface, fill_triangles, regions_at};
 use crate::texinit::transfer::{
@@ -70,11 +72,14 @@ impl StreamInit {
     ) -> Repainted {
         let is_assigned = self.params.transfer.mode == TransferMode::Assigned;
         let mut plan = Plan::default();
-        for ((chart, dirt), before) in self.charts.iter_mut().zip(&change.dirt).zip(before) {
+        let may_grow = self.may_grow(change, turnover);
+        let charts = self.charts.iter_mut().zip(&change.dirt);
+        for (((chart, dirt), before), may_grow) in charts.zip(before).zip(&may_grow) {
             let sight = Sight {
                 mesh: &self.mesh,
                 dirt,
                 covers: &change.covers,
+                may_grow,
             };
             plan.add_chart(chart, &sight, before.as_ref(), turnover, is_assigned);
         }
@@ -84,6 +89,41 @@ impl StreamInit {
         touched.others.extend(wiped);
         update.num_triangles_painted = touched.complete.len() + touched.others.len();
         self.repainted(&touched)
+    }
+
+    /// Per chart, the triangles with a mean that a keyframe which came may add to, ascending.
+    fn may_grow(&self, change: &SurfaceChange, turnover: &Turnover) -> Vec<Vec<u32>> {
+        let params = self.view_params();
+        let known = turnover.added.iter().filter_map(|&number| {
+            let known = self.frames.get(number)?;
+            let camera = known.camera.filter(|_| known.failure.is_none())?;
+            let camera_from_world = known.pose.world_from_camera.inverse();
+            Some((number, camera, camera_from_world, known.bound.as_deref()))
+        });
+        let known: Vec<_> = known.collect();
+        let views = known.iter().map(|(number, camera, pose, bound)| {
+            (*number, (KnownView::new(camera, pose, &params), *bound))
+        });
+        let views: BTreeMap<u32, (KnownView<'_>, Option<&DepthBound>)> = views.collect();
+        let charts = self.charts.par_iter().zip(&change.dirt);
+        let of_chart = |(chart, dirt): (&StreamChart, &Dirt)| -> Vec<u32> {
+            let added: Vec<_> = (dirt.added.iter())
+                .filter_map(|number| views.get(number))
+                .collect();
+            let first = chart.first_triangle();
+            let may_add = |number: &u32| {
+                #[expect(clippy::cast_possible_truncation, reason = "a number in a mesh")]
+                let triangle = TriangleId(first as u32 + number);
+                let corners_m = self.mesh.corners_m(triangle);
+                let bounds = BoundingBox::around(corners_m);
+                added.iter().any(|(view, bound)| {
+                    view.may_see(&bounds) && !view.hides(&view.in_camera(&corners_m), *bound)
+                })
+            };
+            let with_means = chart.means.keys().copied();
+            with_means.filter(may_add).collect()
+        };
+        charts.map(of_chart).collect()
     }
 
     /// Resets texels of some triangles, of some sources, to as if nobody had painted them.
@@ -318,6 +358,8 @@ struct Sight<'a> {
     mesh: &'a TriMesh,
     dirt: &'a Dirt,
     covers: &'a BTreeMap<u32, Cover>,
+    /// Triangles with a mean that a keyframe which came may add to, ascending.
+    may_grow: &'a [u32],
 }
 
 impl Sight<'_> {
@@ -381,7 +423,7 @@ impl Plan {
                     continue;
                 }
             };
-            if dirt.added.is_empty() {
+            if sight.may_grow.binary_search(&number_u32).is_err() {
                 chart.means.insert(number_u32, sums);
             } else {
                 self.grown.push((triangle, sums));

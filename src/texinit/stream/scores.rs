@@ -12,8 +12,8 @@ use super::surface::SurfaceChange;
 use super::view::KnownView;
 use super::views::ViewSlot;
 use super::{StreamInit, StreamUpdate};
-use crate::geom::PinholeCamera;
 use crate::geom::camera::CameraError;
+use crate::geom::{Distortion, PinholeCamera};
 use crate::keyframe::Keyframe;
 use crate::render::{
     BoundingBox, DepthBound, Frustum, KeptView, MeshPart, ViewPoint, ViewScratch, WindowFinder,
@@ -205,7 +205,9 @@ impl Scoring<'_> {
         }
         let decode = || (self.decode)(keyframe).map_err(|error| error.to_string());
         let mut decoded = None;
-        let camera = match known.camera {
+        let model = &keyframe.color_camera;
+        let is_as_decoded = model.distortion == Distortion::None;
+        let camera = match known.camera.or(is_as_decoded.then_some(model.pinhole)) {
             Some(camera) => camera,
             None => decoded.insert(decode()?).color_camera,
         };
@@ -247,16 +249,21 @@ impl Scoring<'_> {
             false => finder.window(),
         };
         if sighting.charts.is_empty() || window.is_empty() {
+            // Whether it decodes has to be known of every keyframe.
+            if known.camera.is_none() && decoded.is_none() {
+                decode()?;
+            }
             return Ok(Some(sighting));
         }
-        let frame = match decoded {
-            Some(frame) => frame,
-            None => decode()?,
-        };
         let (mesh, params) = (&self.state.mesh, &self.state.params.assign);
         let (drawing, scratch) = (self.state.drawing(), &mut workspace.view);
-        slot.bring_up(&drawing, &camera, &camera_from_world, &finder, scratch)
-            .map_err(to_string)?;
+        // Few keyframes come at a time, and the other cores would wait for the last of them.
+        let (frame, drawn) = rayon::join(
+            || decoded.map_or_else(decode, Ok),
+            || slot.bring_up(&drawing, &camera, &camera_from_world, &finder, scratch),
+        );
+        let frame = frame.inspect_err(|_| slot.view = None)?;
+        drawn.map_err(to_string)?;
         let drawn = match &slot.view {
             Some(_) => MeshPart::default(),
             None => self.state.runs.in_frustum(&Frustum::of_window(
@@ -323,9 +330,15 @@ impl Scoring<'_> {
                 continue;
             }
             let mut triangles = Vec::new();
+            if is_unseen && bound.is_none() {
+                triangles.extend((0_u32..).take(chart.len()));
+            }
             for (triangle, of_chart) in (0_u32..).zip(&*chart.piece.chart.triangles) {
-                let corners_m = self.state.mesh.corners_m(*of_chart);
                 let is_unscored = is_unseen || dirt.is_unscored(triangle as usize);
+                if (is_unseen && bound.is_none()) || !(is_unscored || cover.is_some()) {
+                    continue;
+                }
+                let corners_m = self.state.mesh.corners_m(*of_chart);
                 let in_camera = view.in_camera(&corners_m);
                 let may_differ = || cover.is_some_and(|cover| cover.meets_in_camera(&in_camera));
                 if (is_unscored || may_differ()) && !view.hides(&in_camera, bound) {

@@ -1,6 +1,6 @@
 //! What is known of a keyframe's view without drawing it.
 
-use nalgebra::Point3;
+use nalgebra::{Point3, Rotation3};
 
 use crate::geom::{PinholeCamera, RigidTransform};
 use crate::render::visibility::depth_slope_m;
@@ -11,6 +11,7 @@ pub(super) struct KnownView<'a> {
     pub(super) camera: &'a PinholeCamera,
     pub(super) camera_from_world: &'a RigidTransform,
     pub(super) frustum: Frustum,
+    rotation: Rotation3<f64>,
     params: &'a VisibilityParams,
 }
 
@@ -25,6 +26,7 @@ impl<'a> KnownView<'a> {
             camera,
             camera_from_world,
             frustum: Frustum::new(camera, camera_from_world, params.far_m),
+            rotation: camera_from_world.rotation().to_rotation_matrix(),
             params,
         }
     }
@@ -34,7 +36,8 @@ impl<'a> KnownView<'a> {
     }
 
     pub(super) fn in_camera(&self, corners_m: &[Point3<f64>; 3]) -> [Point3<f64>; 3] {
-        corners_m.map(|corner| self.camera_from_world.transform_point(&corner))
+        let translation = self.camera_from_world.translation();
+        corners_m.map(|corner| Point3::from(self.rotation * corner.coords + translation))
     }
 
     /// The pixels of a triangle's corners; `None` unless all are in front of the camera.

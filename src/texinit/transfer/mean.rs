@@ -184,6 +184,22 @@ impl MeanTexels {
         }
     }
 
+    /// How many texels have the triangles that a camera may see past what is known to hide them.
+    pub(super) fn num_visible(&self, mesh: &TriMesh, sight: &CameraSight<'_>) -> usize {
+        let frustum = sight.frustum();
+        let mut num_texels = 0;
+        for (task, bounds) in self.bounds.iter().enumerate() {
+            let start = task * TASK_SIZE;
+            let end = (start + TASK_SIZE).min(self.triangles.len());
+            for index in (start..end).filter(|_| frustum.may_see(bounds)) {
+                if sight.corners(mesh, self.triangles[index]).is_some() {
+                    num_texels += self.first[index + 1] - self.first[index];
+                }
+            }
+        }
+        num_texels
+    }
+
     /// Adds what a group of frames sees, frame by frame.
     pub(super) fn accumulate(
         &mut self,

@@ -281,6 +281,21 @@ impl Painter<'_> {
         finder.window()
     }
 
+    /// Texels at most whose mean asks for the depth edges that the frame sees.
+    fn num_edge_tests(
+        &self,
+        job: &PaintJob<'_>,
+        index: usize,
+        camera: &PinholeCamera,
+        pose: &CameraPose,
+    ) -> usize {
+        let bound = job.known.and_then(|known| known[index].bound.as_deref());
+        let sight = self.sight(camera, pose, bound);
+        let means = job.means.iter().filter(|means| means.counts[index]);
+        let num_texels = means.map(|means| means.texels.num_visible(self.mesh, &sight));
+        num_texels.sum()
+    }
+
     fn sight<'b>(
         &'b self,
         camera: &'b PinholeCamera,
@@ -327,7 +342,12 @@ impl Painter<'_> {
         let window = known_window.unwrap_or_else(|| self.window(job, index, &camera, &camera_pose));
         let mut visibility = None;
         if !window.is_empty() {
-            let drawn = self.draw(buffers, view, &camera, camera_from_world, window);
+            let num_edge_tests = self.num_edge_tests(job, index, &camera, &camera_pose);
+            let from = ViewPoint {
+                camera: &camera,
+                camera_from_world,
+            };
+            let drawn = self.draw(buffers, view, from, window, num_edge_tests);
             visibility = Some(drawn.map_err(|error| error.to_string())?);
         }
         let bound = visibility.map(VisibilityBuffer::depth_bound);
@@ -376,11 +396,15 @@ impl Painter<'_> {
         &self,
         buffers: &'b mut Buffers,
         view: &mut Option<KeptView>,
-        camera: &PinholeCamera,
-        camera_from_world: &RigidTransform,
+        from: ViewPoint<'_>,
         window: PixelWindow,
+        num_edge_tests: usize,
     ) -> Result<&'b VisibilityBuffer, CameraError> {
         let params = &self.params.visibility;
+        let ViewPoint {
+            camera,
+            camera_from_world,
+        } = from;
         let own_camera = WindowFinder::new(camera, params).buffer_camera(camera)?;
         let part_in = |window: PixelWindow| {
             let far_m = params.far_m;
@@ -400,7 +424,7 @@ impl Painter<'_> {
                 if !view.stale().is_empty() {
                     view.redraw(self.mesh, &part_in(view.stale()), from, scratch);
                 }
-                visibility.load(view, camera, params, window)?;
+                visibility.load(view, camera, params, window, num_edge_tests)?;
             }
             None => {
                 let part = part_in(window);
