@@ -4,7 +4,7 @@
 //! painted texels of their triangles, weighted towards the vertex; where there are none, a
 //! harmonic blend of their neighbours' along the mesh's edges ([`diffusion`]; vertices of equal
 //! position count as one, so it crosses charts and cuts). Unpainted texels interpolate their
-//! triangle's vertices. A component of the surface without any painted texel becomes neutral.
+//! triangle's vertices, whose colours are rounded to bytes before. A component of the surface without any painted texel becomes neutral.
 //!
 //! Texels filled earlier ([`TexelSource::DIFFUSED`]) are filled anew; painted ones never change.
 //! Runs after colour transfer and before the gutters. Charts are done in parallel, the diffusion
@@ -105,7 +105,13 @@ pub fn fill_unseen(
         mesh,
         representative: &equal_representatives(mesh.positions_m()),
     };
-    let mut report = fill_triangles(&surface, layout, texture, &coverage, &is_wanted, params);
+    let part = FillPart {
+        coverage: &coverage,
+        is_wanted: &is_wanted,
+        is_stale: &vec![true; coverage.len()],
+    };
+    let lent = &mut LentColours::default();
+    let (mut report, _) = fill_triangles(&surface, layout, texture, &part, lent, params);
     let FillReport {
         num_painted_texels,
         num_unpainted_triangles,
@@ -134,32 +140,96 @@ pub(crate) struct Surface<'a> {
     pub(crate) representative: &'a [u32],
 }
 
-/// Fills the wanted triangles: all, or whole regions ([`regions_at`]) of those that are not completely
-/// painted.
+/// What is filled; all by triangle.
+pub(crate) struct FillPart<'a> {
+    pub(crate) coverage: &'a [Coverage],
+    /// All, or whole regions ([`regions_at`]) of those that are not completely painted.
+    pub(crate) is_wanted: &'a [bool],
+    /// Those whose unpainted texels may show something else than what their corners lent them last.
+    pub(crate) is_stale: &'a [bool],
+}
+
+/// The colours that vertices lent to the triangles that were filled at them last, by number in the mesh.
+///
+/// A triangle's texels depend on the three of its corners, in bytes, and on nothing else: where these
+/// are those of the last time nothing is written.
+#[derive(Debug, Default)]
+pub(crate) struct LentColours(Vec<Option<Lent>>);
+
+/// A vertex's colour.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Lent {
+    /// No painted texel is connected.
+    Neutral,
+    Srgb([u8; 3]),
+}
+
+impl Lent {
+    #[expect(clippy::cast_possible_truncation, reason = "rounding to f32 is meant")]
+    fn of(linear: Option<[f64; 3]>) -> Self {
+        linear.map_or(Self::Neutral, |linear| {
+            Self::Srgb(linear.map(|channel| srgb_from_linear(channel as f32)))
+        })
+    }
+}
+
+impl LentColours {
+    /// Vertices have other numbers.
+    pub(crate) fn forget(&mut self) {
+        self.0.clear();
+    }
+
+    /// Takes the colours of the vertices; per vertex of the mesh whether it is another.
+    fn renew(
+        &mut self,
+        vertices: &diffusion::SurfaceVertices<'_>,
+        now: &[Lent],
+        num: usize,
+    ) -> Vec<bool> {
+        let mut is_other = vec![false; num];
+        self.0.resize(num, None);
+        for (vertex, &lent) in vertices.of_mesh().iter().zip(now) {
+            let vertex = *vertex as usize;
+            is_other[vertex] = self.0[vertex].replace(lent) != Some(lent);
+        }
+        is_other
+    }
+}
+
+/// Fills the wanted triangles; per triangle whether it got other texels.
 pub(crate) fn fill_triangles(
     surface: &Surface<'_>,
     layout: &AtlasLayout,
     texture: &mut AtlasTexture,
-    coverage: &[Coverage],
-    is_wanted: &[bool],
+    part: &FillPart<'_>,
+    lent: &mut LentColours,
     params: &FillParams,
-) -> FillReport {
+) -> (FillReport, Vec<bool>) {
     let mut report = FillReport::default();
-    let mut colours = VertexColours::of_wanted(surface, is_wanted);
-    colours.add_painted(layout, texture, coverage);
+    let mut colours = VertexColours::of_wanted(surface, part.is_wanted);
+    colours.add_painted(layout, texture, part.coverage);
     let solved = diffusion::diffuse(surface.mesh, &colours.vertices, colours.means(), params);
     report.num_diffused_vertices = solved.num_diffused;
     report.num_sweeps = solved.num_sweeps;
+    let now: Vec<Lent> = solved.linear.into_iter().map(Lent::of).collect();
+    let is_other = lent.renew(&colours.vertices, &now, surface.mesh.num_vertices());
+    let wanted = part.is_wanted.par_iter().zip(part.coverage).enumerate();
+    let is_written = wanted.map(|(triangle, (is_wanted, coverage))| {
+        let is_other = |corner: &u32| is_other[surface.representative[*corner as usize] as usize];
+        let mut corners = surface.mesh.triangles()[triangle].iter();
+        let has_to_be_filled = *is_wanted && coverage.num_unpainted > 0;
+        has_to_be_filled && (part.is_stale[triangle] || corners.any(is_other))
+    });
+    let is_written: Vec<bool> = is_written.collect();
     let filling = Filling {
         layout,
-        coverage,
-        is_wanted,
+        is_written: &is_written,
         colours: &colours,
-        linear: &solved.linear,
+        lent: &now,
         neutral_srgb: params.neutral_srgb,
     };
     filling.paint(texture, &mut report);
-    report
+    (report, is_written)
 }
 
 /// Which triangles are in a region with one of the given vertices: triangles that are not
@@ -298,14 +368,14 @@ fn coverage(layout: &AtlasLayout, texture: &AtlasTexture, num_triangles: usize) 
 }
 
 /// Vertices of triangles that are not completely painted, by position.
-struct VertexColours {
-    vertices: diffusion::SurfaceVertices,
+struct VertexColours<'a> {
+    vertices: diffusion::SurfaceVertices<'a>,
     /// Per vertex: weighted sum of linear colours, and of weights.
     sums: Vec<[f64; 4]>,
 }
 
-impl VertexColours {
-    fn of_wanted(surface: &Surface<'_>, is_wanted: &[bool]) -> Self {
+impl<'a> VertexColours<'a> {
+    fn of_wanted(surface: &Surface<'a>, is_wanted: &[bool]) -> Self {
         let vertices =
             diffusion::SurfaceVertices::of(surface.mesh, surface.representative, is_wanted);
         Self {
@@ -400,20 +470,17 @@ const BAND_ROWS: usize = 128;
 /// What filling reads.
 struct Filling<'a> {
     layout: &'a AtlasLayout,
-    coverage: &'a [Coverage],
-    is_wanted: &'a [bool],
-    colours: &'a VertexColours,
+    is_written: &'a [bool],
+    colours: &'a VertexColours<'a>,
     /// Per vertex.
-    linear: &'a [Option<[f64; 3]>],
+    lent: &'a [Lent],
     neutral_srgb: [u8; 3],
 }
 
 impl Filling<'_> {
     fn paint(&self, texture: &mut AtlasTexture, report: &mut FillReport) {
-        let has_to_be_filled =
-            |chart: &&PlacedChart| chart.triangles.iter().any(|t| self.has_to_be_filled(*t));
-        let charts: Vec<&PlacedChart> =
-            self.layout.charts.iter().filter(has_to_be_filled).collect();
+        let is_written = |chart: &&PlacedChart| chart.triangles.iter().any(|t| self.is_written(*t));
+        let charts: Vec<&PlacedChart> = self.layout.charts.iter().filter(is_written).collect();
         for batch in charts.chunks(CHARTS_PER_BATCH) {
             let by_chart: Vec<FilledChart> = batch
                 .par_iter()
@@ -435,10 +502,8 @@ impl Filling<'_> {
         }
     }
 
-    fn has_to_be_filled(&self, triangle: TriangleId) -> bool {
-        let index = triangle.index();
-        let is_wanted = self.is_wanted.get(index).copied().unwrap_or(false);
-        is_wanted && self.coverage[index].num_unpainted > 0
+    fn is_written(&self, triangle: TriangleId) -> bool {
+        self.is_written.get(triangle.index()) == Some(&true)
     }
 
     fn fill_chart(&self, chart: &PlacedChart, texture: &AtlasTexture) -> FilledChart {
@@ -446,15 +511,15 @@ impl Filling<'_> {
         let Some(page) = texture.pages.get(chart.page as usize) else {
             return filled;
         };
-        let wanted = |triangle: &&TriangleId| self.has_to_be_filled(**triangle);
-        for &triangle in chart.triangles.iter().filter(wanted) {
+        let written = |triangle: &&TriangleId| self.is_written(**triangle);
+        for &triangle in chart.triangles.iter().filter(written) {
             let corners = self
                 .colours
                 .vertices
                 .of_triangle(triangle)
-                .map(|vertex| vertex.and_then(|v| self.linear[v]));
+                .map(|vertex| vertex.map_or(Lent::Neutral, |v| self.lent[v]));
             let blend = match corners {
-                [Some(a), Some(b), Some(c)] => Some(Blend::new([a, b, c])),
+                [Lent::Srgb(a), Lent::Srgb(b), Lent::Srgb(c)] => Some(Blend::new([a, b, c])),
                 _ => None,
             };
             for_each_index(self.layout, triangle, |index, weights| {
@@ -514,9 +579,9 @@ fn write(charts: &[&FilledChart], page: &mut TexturePage) {
 struct Blend([[f32; 3]; 3]);
 
 impl Blend {
-    #[expect(clippy::cast_possible_truncation, reason = "rounding to f32 is meant")]
-    fn new(linear: [[f64; 3]; 3]) -> Self {
-        Self([0, 1, 2].map(|channel: usize| linear.map(|corner| corner[channel] as f32)))
+    fn new(corners: [[u8; 3]; 3]) -> Self {
+        let linear = |channel: usize| corners.map(|srgb| linear_from_srgb(srgb[channel]));
+        Self([0, 1, 2].map(linear))
     }
 
     fn at(&self, weights: [f32; 3]) -> [u8; 3] {

@@ -56,6 +56,7 @@ use super::assign::cues::FrameWorkspace;
 use super::assign::quality::TypicalQuality;
 use super::assign::{AssignError, Assignment, ColorCue, FailedFrame, chart_table};
 use super::density::SizeRule;
+use super::fill::LentColours;
 use super::flatten::FlattenError;
 use super::transfer::{MAX_FRAMES_IN_ANY_ORDER, MeanForm, PaintBuffers};
 use super::{Coupling, Decode, Observer, Stage, TexInitParams};
@@ -189,6 +190,8 @@ pub struct StreamInit {
     runs: MeshRuns,
     /// Of [`TrackedMesh::num_renumberings`], when the mesh was listed.
     num_renumberings: usize,
+    /// What unseen regions were filled with.
+    lent: LentColours,
     layout: Arc<AtlasLayout>,
     texture: AtlasTexture,
     /// Ascending by id, in the order of the layout.
@@ -230,6 +233,7 @@ impl StreamInit {
         Ok(Self {
             runs: MeshRuns::new(&mesh),
             num_renumberings: 0,
+            lent: LentColours::default(),
             layout: Arc::new(charts::empty_layout()),
             tracked: TrackedMesh::new(&stream.diff)?,
             mesh: Arc::new(mesh),
@@ -401,6 +405,7 @@ impl StreamInit {
         self.held = Held::default();
         self.typical = TypicalQuality::default();
         self.views = KeptViews::default();
+        self.lent.forget();
     }
 
     /// The mesh, in the order of the charts.

@@ -19,19 +19,22 @@ const MIN_EDGE_M: f64 = 1e-6;
 const ABSENT: u32 = u32::MAX;
 
 /// Vertices of a part of the surface; those of equal position are one.
-pub(super) struct SurfaceVertices {
-    /// Per triangle of the mesh and corner: the vertex, or [`ABSENT`].
-    of_corner: Vec<[u32; 3]>,
+pub(super) struct SurfaceVertices<'a> {
+    mesh: &'a TriMesh,
+    representative: &'a [u32],
+    /// Per vertex of the mesh: the one of the part, or [`ABSENT`].
+    vertex_of: Vec<u32>,
     /// Triangles of the part.
     triangles: Vec<TriangleId>,
-    num_vertices: usize,
+    /// Per vertex: the one of the mesh that stands for it.
+    of_mesh: Vec<u32>,
 }
 
-impl SurfaceVertices {
+impl<'a> SurfaceVertices<'a> {
     /// Those of the wanted triangles; `representative` has for each vertex of the mesh the one that
     /// stands for its position. They are numbered by position, so that neither the order of the mesh
     /// nor what else is wanted shows in the result.
-    pub(super) fn of(mesh: &TriMesh, representative: &[u32], is_wanted: &[bool]) -> Self {
+    pub(super) fn of(mesh: &'a TriMesh, representative: &'a [u32], is_wanted: &[bool]) -> Self {
         let mut triangles = Vec::new();
         let mut members = Vec::new();
         let wanted = mesh.triangle_ids().filter(|t| is_wanted[t.index()]);
@@ -54,23 +57,35 @@ impl SurfaceVertices {
         for (number, &(_, vertex)) in (0_u32..).zip(&by_position) {
             vertex_of[vertex as usize] = number;
         }
-        let vertex_at = |corner: u32| vertex_of[representative[corner as usize] as usize];
         Self {
-            of_corner: mesh.triangles().iter().map(|c| c.map(vertex_at)).collect(),
+            mesh,
+            representative,
+            vertex_of,
             triangles,
-            num_vertices: by_position.len(),
+            of_mesh: by_position.into_iter().map(|(_, vertex)| vertex).collect(),
         }
     }
 
     pub(super) fn len(&self) -> usize {
-        self.num_vertices
+        self.of_mesh.len()
+    }
+
+    /// Per vertex: the one of the mesh that stands for it.
+    pub(super) fn of_mesh(&self) -> &[u32] {
+        &self.of_mesh
     }
 
     pub(super) fn of_triangle(&self, triangle: TriangleId) -> [Option<usize>; 3] {
-        let corners = self.of_corner.get(triangle.index()).copied();
-        corners
-            .unwrap_or([ABSENT; 3])
+        self.at_corners(triangle)
             .map(|vertex| (vertex != ABSENT).then_some(vertex as usize))
+    }
+
+    /// The vertices of a triangle, or [`ABSENT`].
+    fn at_corners(&self, triangle: TriangleId) -> [u32; 3] {
+        let corners = self.mesh.triangles().get(triangle.index());
+        corners.map_or([ABSENT; 3], |corners| {
+            corners.map(|corner| self.vertex_of[self.representative[corner as usize] as usize])
+        })
     }
 }
 
@@ -91,7 +106,7 @@ pub(super) struct Diffused {
 
 pub(super) fn diffuse(
     mesh: &TriMesh,
-    vertices: &SurfaceVertices,
+    vertices: &SurfaceVertices<'_>,
     given: Vec<Option<[f64; 3]>>,
     params: &FillParams,
 ) -> Diffused {
@@ -113,12 +128,12 @@ struct Graph {
 }
 
 impl Graph {
-    fn new(mesh: &TriMesh, vertices: &SurfaceVertices, given: &[Option<[f64; 3]>]) -> Self {
+    fn new(mesh: &TriMesh, vertices: &SurfaceVertices<'_>, given: &[Option<[f64; 3]>]) -> Self {
         // An edge is met once from each of its triangles; of equal ones the first weight counts.
         let is_free = |vertex: u32| given[vertex as usize].is_none();
         let sides = || {
             vertices.triangles.iter().flat_map(|&triangle| {
-                let ids = vertices.of_corner[triangle.index()];
+                let ids = vertices.at_corners(triangle);
                 (0..3).map(move |k| (triangle, k, ids[k], ids[(k + 1) % 3]))
             })
         };

@@ -19,7 +19,7 @@ use crate::keyframe::Keyframe;
 use crate::mesh::{TriMesh, TriangleId};
 use crate::render::{BoundingBox, DepthBound};
 use crate::texinit::assign::{Assignment, FramePose};
-use crate::texinit::fill::{Coverage, Surface, fill_triangles, regions_at};
+use crate::texinit::fill::{Coverage, FillPart, Surface, fill_triangles, regions_at};
 use crate::texinit::transfer::{
     KnownSight, MeanJob, MeanTexels, PaintJob, Painter, TexelSum, TransferMode,
 };
@@ -31,6 +31,8 @@ pub(super) struct Repainted {
     pub(super) is_chart: Vec<bool>,
     /// Per vertex: whether texels of a triangle at it may be others.
     is_vertex: Vec<bool>,
+    /// Per triangle: whether its own may be.
+    is_triangle: Vec<bool>,
 }
 
 /// What has to be painted.
@@ -261,6 +263,7 @@ impl StreamInit {
         let mut repainted = Repainted {
             is_chart: vec![false; self.charts.len()],
             is_vertex: vec![false; self.mesh.num_vertices()],
+            is_triangle: vec![false; self.mesh.num_triangles()],
         };
         let others: Vec<Coverage> = touched
             .others
@@ -276,6 +279,7 @@ impl StreamInit {
         for (triangle, coverage) in complete.chain(others) {
             let index = self.layout.chart_of_triangle[triangle.index()].index();
             repainted.is_chart[index] = true;
+            repainted.is_triangle[triangle.index()] = true;
             for vertex in self.mesh.triangles()[triangle.index()] {
                 repainted.is_vertex[vertex as usize] = true;
             }
@@ -311,16 +315,16 @@ impl StreamInit {
         if !is_wanted.contains(&true) {
             return;
         }
-        fill_triangles(
-            &surface,
-            &self.layout,
-            &mut self.texture,
-            &coverage,
-            &is_wanted,
-            &self.params.fill,
-        );
-        let charts = self.layout.chart_of_triangle.iter().zip(&is_wanted);
-        for (chart, _) in charts.filter(|(_, is_wanted)| **is_wanted) {
+        let part = FillPart {
+            coverage: &coverage,
+            is_wanted: &is_wanted,
+            is_stale: &repainted.is_triangle,
+        };
+        let (layout, lent, params) = (&self.layout, &mut self.lent, &self.params.fill);
+        let (_, is_written) =
+            fill_triangles(&surface, layout, &mut self.texture, &part, lent, params);
+        let charts = layout.chart_of_triangle.iter().zip(&is_written);
+        for (chart, _) in charts.filter(|(_, is_written)| **is_written) {
             repainted.is_chart[chart.index()] = true;
         }
     }

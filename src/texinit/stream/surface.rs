@@ -315,6 +315,9 @@ impl StreamInit {
         let num_renumberings = self.tracked.num_renumberings();
         let is_renumbered =
             std::mem::replace(&mut self.num_renumberings, num_renumberings) != num_renumberings;
+        if is_renumbered {
+            self.lent.forget();
+        }
         let num_staying = match is_renumbered {
             true => 0,
             false => change.num_charts_in_place,
