@@ -6,6 +6,7 @@
 //! ```
 
 use std::path::Path;
+use std::sync::Arc;
 
 use anyhow::{Context as _, bail, ensure};
 use nalgebra::{Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
@@ -24,8 +25,8 @@ const FOCAL_PX: f64 = 520.0;
 
 /// A painted state.
 struct State {
-    mesh: TriMesh,
-    layout: AtlasLayout,
+    mesh: Arc<TriMesh>,
+    layout: Arc<AtlasLayout>,
     texture: AtlasTexture,
 }
 

@@ -153,7 +153,12 @@ pub(super) type Build<'a, T> =
 
 /// The pieces that were cut last, page by page: where a page is as it was, so are they.
 #[derive(Debug, Default)]
-pub(super) struct Pieces(Vec<CutPage>);
+pub(super) struct Pieces {
+    pages: Vec<CutPage>,
+    /// Whether a rectangle that was too large once is divided from then on, without being built to see. Then
+    /// pieces depend on what was before, and a change costs building what is sent and no more.
+    stay_divided: bool,
+}
 
 /// A page and its pieces.
 #[derive(Debug, Default)]
@@ -162,7 +167,14 @@ struct CutPage {
     of: Option<(PageTrace, Digest)>,
     pieces: Vec<(Digest, Place)>,
     /// What was found too large for a piece, so that it need not be built again.
-    too_large: BTreeSet<Digest>,
+    too_large: TooLarge,
+}
+
+/// By content and by rectangle.
+#[derive(Clone, Debug, Default)]
+struct TooLarge {
+    digests: BTreeSet<Digest>,
+    regions: BTreeSet<[u32; 4]>,
 }
 
 impl PieceTriangle {
@@ -284,6 +296,11 @@ struct Region {
 }
 
 impl Region {
+    /// Names it.
+    fn bits(&self) -> [u32; 4] {
+        [self.low[0], self.low[1], self.size[0], self.size[1]].map(f32::to_bits)
+    }
+
     /// The axis across which it is divided.
     fn axis(&self) -> usize {
         usize::from(self.size[1] > self.size[0])
@@ -309,7 +326,7 @@ impl Region {
 enum Judged<T> {
     Piece(CutPiece<T>),
     TooLarge(Digest, Node),
-    /// So much too large that it was not tried.
+    /// So much too large, or so often, that it was not tried.
     FarTooLarge(Node),
 }
 
@@ -317,6 +334,14 @@ enum Judged<T> {
 const SMALLEST_REGION_TEXEL: f32 = 0.25;
 
 impl Pieces {
+    /// Of which those divided once stay so.
+    pub(super) fn staying_divided() -> Self {
+        Self {
+            pages: Vec::new(),
+            stay_divided: true,
+        }
+    }
+
     /// Cuts the mesh into pieces for which `build` gives something, page by page. Of pieces that `is_known`
     /// nothing is built. The order within a page depends on it only.
     ///
@@ -330,7 +355,7 @@ impl Pieces {
         build: &Build<'_, T>,
     ) -> Result<Vec<CutPiece<T>>, PublishError> {
         let textured = &content.textured;
-        let mut before = std::mem::take(&mut self.0);
+        let mut before = std::mem::take(&mut self.pages);
         before.resize_with(textured.texture().pages.len(), CutPage::default);
         let pages = textured.texture().pages.iter().zip(charts_by_page(content));
         let mut cut: Vec<Vec<CutPiece<T>>> = Vec::with_capacity(before.len());
@@ -349,7 +374,12 @@ impl Pieces {
             );
         }
         let mut nodes = roots(textured, &is_as_it_was);
-        let mut too_large: Vec<BTreeSet<Digest>> = vec![BTreeSet::new(); before.len()];
+        let mut too_large = vec![TooLarge::default(); before.len()];
+        if self.stay_divided {
+            for (now, before) in too_large.iter_mut().zip(&before) {
+                now.regions.clone_from(&before.too_large.regions);
+            }
+        }
         while !nodes.is_empty() {
             let judged: Vec<Result<Judged<T>, PublishError>> = nodes
                 .into_par_iter()
@@ -363,7 +393,11 @@ impl Pieces {
                 match result? {
                     Judged::Piece(piece) => cut[piece.1.page as usize].push(piece),
                     Judged::TooLarge(digest, node) => {
-                        too_large[node.page as usize].insert(digest);
+                        let too_large = &mut too_large[node.page as usize];
+                        too_large.digests.insert(digest);
+                        if self.stay_divided {
+                            too_large.regions.insert(node.region.bits());
+                        }
                         divide(node, params, &mut nodes)?;
                     }
                     Judged::FarTooLarge(node) => divide(node, params, &mut nodes)?,
@@ -380,7 +414,7 @@ impl Pieces {
                 before.too_large = too_large;
             }
         }
-        self.0 = before;
+        self.pages = before;
         Ok(cut.into_iter().flatten().collect())
     }
 }
@@ -439,7 +473,7 @@ fn judge<T>(
     node: Node,
     textured: &TexturedMesh<'_>,
     params: &PublishParams,
-    too_large: &BTreeSet<Digest>,
+    too_large: &TooLarge,
     is_known: &(dyn Fn(Digest) -> bool + Sync),
     build: &Build<'_, T>,
 ) -> Result<Judged<T>, PublishError> {
@@ -447,7 +481,9 @@ fn judge<T>(
     let crop = needed_texels(page, &node.triangles);
     let num_texels = crop.width as usize * crop.height as usize;
     let least_bytes = node.triangles.len() * MIN_TRIANGLE_BYTES + num_texels / MAX_TEXELS_PER_BYTE;
-    if least_bytes > params.max_message_bytes {
+    // One triangle is divided only where it must be.
+    let was_too_large = node.triangles.len() > 1 && too_large.regions.contains(&node.region.bits());
+    if least_bytes > params.max_message_bytes || was_too_large {
         return Ok(Judged::FarTooLarge(node));
     }
     let piece = Piece::new(node.page, page, node.triangles);
@@ -459,7 +495,7 @@ fn judge<T>(
     if is_known(digest) {
         return Ok(Judged::Piece((digest, place, None)));
     }
-    if !too_large.contains(&digest)
+    if !too_large.digests.contains(&digest)
         && let Some(built) = build(&piece, page)?
     {
         return Ok(Judged::Piece((digest, place, Some(built))));

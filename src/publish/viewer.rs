@@ -29,12 +29,23 @@ pub(super) trait Format: Sync {
 }
 
 /// What readers hold, and how many messages ago it began.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct Held {
     scene: Option<(u64, String)>,
     sent: Sent<Place>,
     pieces: Pieces,
     num_since_whole: usize,
+}
+
+impl Default for Held {
+    fn default() -> Self {
+        Self {
+            scene: None,
+            sent: Sent::default(),
+            pieces: Pieces::staying_divided(),
+            num_since_whole: 0,
+        }
+    }
 }
 
 impl Held {
@@ -66,6 +77,7 @@ impl Held {
             }
         }
         self.sent.clear();
+        self.pieces = Pieces::staying_divided();
         let mut messages = vec![params.checked(F::WHAT, format.deletion_of_all())?];
         messages.extend(self.publish_change(format, content, params)?);
         self.scene = now;

@@ -4,14 +4,22 @@
 //! The weights are positive, so no colour leaves the range of those given (the maximum principle);
 //! on a surface flat and regular it is linear interpolation. Started ring by ring from the given
 //! colours, then over-relaxed in that order and back, each connected region by itself until it has
-//! converged; enough for a smooth blend, near convergence for regions of some dozens of rings.
-//! Sequential, in a fixed order that goes by position: a region comes out alike whatever else there is.
+//! converged; enough for a smooth blend, near convergence for regions of some dozens of rings. What lies
+//! further in is smoothed a little and no more: nobody knows what is there.
+//! Each region in a fixed order that goes by position: it comes out alike whatever else there is.
+
+use rayon::prelude::*;
 
 use super::FillParams;
 use crate::mesh::{TriMesh, TriangleId};
 
 /// Change of a linear colour in one sweep below which sweeping stops: under a tenth of a byte.
 const CONVERGED: f32 = 2e-4;
+
+/// Rings from the given colours on that are swept until they have converged.
+const NEAR_RINGS: usize = 24;
+/// Sweeps of all rings before that.
+const FAR_SWEEPS: usize = 12;
 
 /// Edges shorter than this count as this long.
 const MIN_EDGE_M: f64 = 1e-6;
@@ -112,11 +120,11 @@ pub(super) fn diffuse(
 ) -> Diffused {
     let graph = Graph::new(mesh, vertices, &given);
     let mut linear = given;
-    let order = spread(&graph, &mut linear);
-    let num_sweeps = relax(&graph, &order, &mut linear, params);
+    let rings = spread(&graph, &mut linear);
+    let num_sweeps = relax(&graph, &rings, &mut linear, params);
     Diffused {
         linear,
-        num_diffused: order.len(),
+        num_diffused: rings.iter().map(Vec::len).sum(),
         num_sweeps,
     }
 }
@@ -195,8 +203,8 @@ impl Graph {
 }
 
 /// Colours free vertices from the given ones outwards, each ring from the rings before it; returns
-/// them in that order.
-fn spread(graph: &Graph, linear: &mut [Option<[f64; 3]>]) -> Vec<usize> {
+/// the rings.
+fn spread(graph: &Graph, linear: &mut [Option<[f64; 3]>]) -> Vec<Vec<usize>> {
     let is_free: Vec<bool> = linear.iter().map(Option::is_none).collect();
     let mut is_reached: Vec<bool> = is_free.iter().map(|free| !free).collect();
     let mut ring: Vec<usize> = (0..linear.len())
@@ -205,7 +213,7 @@ fn spread(graph: &Graph, linear: &mut [Option<[f64; 3]>]) -> Vec<usize> {
     for &vertex in &ring {
         is_reached[vertex] = true;
     }
-    let mut order = Vec::new();
+    let mut rings = Vec::new();
     while !ring.is_empty() {
         let means: Vec<_> = ring.iter().map(|&v| graph.mean(v, linear)).collect();
         let mut next = Vec::new();
@@ -217,44 +225,46 @@ fn spread(graph: &Graph, linear: &mut [Option<[f64; 3]>]) -> Vec<usize> {
                 }
             }
         }
-        order.append(&mut ring);
-        ring = next;
+        rings.push(std::mem::replace(&mut ring, next));
     }
-    order
+    rings
 }
 
 /// Successive over-relaxation, forth and back in turn, of each region of connected free vertices
 /// until it has converged; returns the largest number of sweeps.
 fn relax(
     graph: &Graph,
-    order: &[usize],
+    rings: &[Vec<usize>],
     linear: &mut [Option<[f64; 3]>],
     params: &FillParams,
 ) -> usize {
-    let mut most_sweeps = 0;
-    let mut place_of = vec![ABSENT; linear.len()];
-    for region in regions(graph, order, linear.len()) {
-        let mut system = System::new(
-            graph,
-            &region,
-            linear,
-            &mut place_of,
-            params.over_relaxation,
-        );
-        let mut num_sweeps = 0;
-        while num_sweeps < params.max_sweeps {
-            let change = system.sweep(num_sweeps % 2 == 1);
-            num_sweeps += 1;
-            if change < CONVERGED {
-                break;
-            }
+    let order: Vec<usize> = rings.iter().flatten().copied().collect();
+    let mut ring_of = vec![0; linear.len()];
+    for (number, ring) in rings.iter().enumerate() {
+        for &vertex in ring {
+            ring_of[vertex] = number;
         }
+    }
+    let mut place_of = vec![ABSENT; linear.len()];
+    let regions = regions(graph, &order, linear.len());
+    let mut systems: Vec<System> = regions
+        .iter()
+        .map(|region| System::new(graph, region, linear, &mut place_of, params.over_relaxation))
+        .collect();
+    let regions_and_systems = regions.par_iter().zip(&mut systems);
+    let num_sweeps: Vec<usize> = regions_and_systems
+        .map(|(region, system)| {
+            // The region goes by rings, as its vertices do in all.
+            let num_near = region.partition_point(|&vertex| ring_of[vertex] < NEAR_RINGS);
+            system.solve(num_near, params.max_sweeps)
+        })
+        .collect();
+    for (region, system) in regions.iter().zip(&systems) {
         for (&vertex, [r, g, b, _]) in region.iter().zip(&system.values) {
             linear[vertex] = Some([*r, *g, *b].map(f64::from));
         }
-        most_sweeps = most_sweeps.max(num_sweeps);
     }
-    most_sweeps
+    num_sweeps.into_iter().max().unwrap_or(0)
 }
 
 /// The free vertices that are connected by edges between them, each region in the given order.
@@ -363,9 +373,24 @@ impl System {
         }
     }
 
-    /// Relaxes every free vertex once; returns the largest change.
-    fn sweep(&mut self, is_backward: bool) -> f32 {
+    /// Sweeps until the first `num_near` vertices have converged, [`FAR_SWEEPS`] times over the others at most;
+    /// returns the number of sweeps.
+    fn solve(&mut self, num_near: usize, max_sweeps: usize) -> usize {
         let num_free = self.start.len() - 1;
+        for number in 0..max_sweeps {
+            let num_swept = match number < FAR_SWEEPS {
+                true => num_free,
+                false => num_near,
+            };
+            if self.sweep(num_swept, number % 2 == 1) < CONVERGED {
+                return number + 1;
+            }
+        }
+        max_sweeps
+    }
+
+    /// Relaxes the first of the free vertices once; returns the largest change.
+    fn sweep(&mut self, num_free: usize, is_backward: bool) -> f32 {
         let mut largest_change = [0.0_f32; 4];
         for step in 0..num_free {
             let vertex = if is_backward {
