@@ -7,7 +7,7 @@
 //! | atlas | a share of the budget, less what the optimisation works on: the density of texels is lowered |
 //! | mesh, score tables | as large as mesh and frames make them; reserved |
 //! | images with their gain | 3 % of the budget |
-//! | what the optimisation works on | reserved, while painting follows changes; texels and views of the mesh are 5 % of the budget each at most |
+//! | what the optimisation works on | reserved, while painting follows changes; texels and views of the mesh are 3 % of the budget each at most |
 //! | depths that keyframes see | a third of what the others leave, while painting follows changes |
 //! | decoded images | the rest |
 //!
@@ -71,9 +71,9 @@ const STREAM_BYTES: u64 = 80_000_000;
 const IDLE_BYTES: u64 = 16_000_000;
 /// What the optimisation of some charts may have of the budget, once for their texels and once for what
 /// views see of the mesh.
-const SMOOTH_SHARE: f64 = 0.05;
+const SMOOTH_SHARE: f64 = 0.03;
 /// The discriminator with its moments and scratch memory, and what a step looks at.
-const SMOOTH_BYTES: u64 = 110_000_000;
+const SMOOTH_BYTES: u64 = 130_000_000;
 /// A texel that the optimisation works on, in tiles that other charts share.
 const SMOOTH_TEXEL_BYTES: f64 = 90.0;
 /// A texel of the atlas, and the copy that an export or a change of its page makes.
@@ -251,16 +251,16 @@ mod tests {
         };
         let memory = MemoryParams { budget_mb: 1000.0 };
         let applied = memory.applied_to(&params);
-        assert_eq!(applied.texsmooth.view_cache_mb, 50.0);
+        assert_eq!(applied.texsmooth.view_cache_mb, 30.0);
         let group_bytes = applied.idle.max_texels as f64 * SMOOTH_TEXEL_BYTES;
-        assert!(group_bytes <= 50e6);
+        assert!(group_bytes <= 30e6);
         let none = memory.plan(&params, 0, 0, 0);
         assert_eq!(none.smoothing, 0);
         params.texsmooth.num_steps = 1;
         let plan = memory.plan(&params, 0, 0, 0);
         assert_eq!(
             plan.smoothing,
-            SMOOTH_BYTES + 50_000_000 + bytes(group_bytes)
+            SMOOTH_BYTES + 30_000_000 + bytes(group_bytes)
         );
         assert_eq!(plan.total(), plan.budget);
         assert_eq!(texel_bytes(&params), TEXEL_BYTES + BASE_TEXEL_BYTES);

@@ -227,7 +227,7 @@ fn with_corners<'a>(
 }
 
 /// The runs of a mesh with their boxes.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct MeshRuns {
     num_triangles: usize,
     num_vertices: usize,
@@ -374,6 +374,38 @@ mod tests {
             }
         }
         TriMesh::from_soup(positions, triangles).unwrap().0
+    }
+
+    #[test]
+    fn runs_are_renewed_from_where_the_mesh_is_another() {
+        let mesh = room();
+        let num_triangles = mesh.num_triangles();
+        assert!(num_triangles > 3 * RUN_SIZE);
+        for num_staying in [
+            0,
+            1,
+            RUN_SIZE - 1,
+            RUN_SIZE,
+            2 * RUN_SIZE + 7,
+            num_triangles,
+        ] {
+            // Behind those that stay there is nothing, the same from behind, or all and more.
+            let staying = &mesh.triangles()[..num_staying];
+            let reversed = mesh.triangles()[num_staying..].iter().rev().copied();
+            let others: [Vec<[u32; 3]>; 3] = [
+                Vec::new(),
+                reversed.clone().collect(),
+                reversed.chain(mesh.triangles().iter().copied()).collect(),
+            ];
+            for others in others {
+                let triangles = [staying, &others].concat();
+                let other = TriMesh::from_soup(mesh.positions_m().to_vec(), triangles);
+                let (other, _) = other.unwrap();
+                let mut runs = MeshRuns::new(&mesh);
+                runs.renew(&other, num_staying);
+                assert_eq!(runs, MeshRuns::new(&other), "{num_staying}");
+            }
+        }
     }
 
     proptest! {

@@ -27,8 +27,8 @@ pub(super) struct SurfaceChange {
     loose: Vec<TriangleId>,
     /// What is known of these.
     orphans: Orphans,
-    /// Leading charts whose members are those before, under their numbers.
-    num_charts_in_place: usize,
+    /// Leading charts that are the leading ones from before.
+    num_leading_charts: usize,
     /// Surface that went, or moved away, as triangles in space.
     pub(super) gone: Vec<[Point3<f64>; 3]>,
     /// Surface that came, or moved there.
@@ -136,7 +136,7 @@ impl StreamInit {
             return Ok(SurfaceChange {
                 is_touched: vec![false; mesh.num_vertices()],
                 dirt: vec![Dirt::default(); self.charts.len()],
-                num_charts_in_place: self.charts.len(),
+                num_leading_charts: self.charts.len(),
                 mesh,
                 ..SurfaceChange::default()
             });
@@ -192,7 +192,7 @@ impl StreamInit {
         let beside = BesideChange::of(&change.mesh, &change.loose);
         let charts = std::mem::take(&mut self.charts);
         self.charts.reserve(charts.len());
-        let mut are_all_in_place = true;
+        let mut are_all_there = true;
         for mut chart in charts {
             let is_in_place = chart.last_member.index() < num_in_place;
             let after: Option<Vec<Successor>> = match is_in_place {
@@ -204,13 +204,12 @@ impl StreamInit {
             });
             match stays {
                 Some(after) => {
-                    are_all_in_place &= is_in_place;
-                    change.num_charts_in_place += usize::from(are_all_in_place);
+                    change.num_leading_charts += usize::from(are_all_there);
                     change.adopt(&mut chart, &after);
                     self.charts.push(chart);
                 }
                 None => {
-                    are_all_in_place = false;
+                    are_all_there = false;
                     update.gone_charts.push(chart.id);
                     self.take_off(&chart);
                     let after = (0_u32..).zip(chart.members.iter().map(|m| successors.of(m)));
@@ -283,7 +282,7 @@ impl StreamInit {
         self.charts.clear();
         self.texture.pages.clear();
         self.placer = None;
-        change.num_charts_in_place = 0;
+        change.num_leading_charts = 0;
         change.dirt.clear();
         change.loose = change.mesh.triangle_ids().collect();
     }
@@ -320,7 +319,7 @@ impl StreamInit {
         }
         let num_staying = match is_renumbered {
             true => 0,
-            false => change.num_charts_in_place,
+            false => change.num_leading_charts,
         };
         let in_place = change.dirt[..num_staying].iter();
         let num_staying = in_place.take_while(|dirt| !is_other(dirt)).count();

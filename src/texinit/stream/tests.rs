@@ -550,6 +550,27 @@ fn pages_are_compacted_when_the_scan_shrinks() {
 }
 
 #[test]
+fn small_charts_beside_new_surface_are_made_anew() {
+    let num_gone = |remake_below_triangles: usize| {
+        let stream = StreamParams {
+            remake_below_triangles,
+            ..stream_params()
+        };
+        let mut scan = Scan::new(2);
+        scan.show_all();
+        scan.hide_right_of(0.5);
+        let mut state = StreamInit::new(&texinit_params(), &stream).unwrap();
+        update(&mut state, &scan);
+        scan.show_all();
+        let update = update(&mut state, &scan);
+        check_equality(&state, &scan, &texinit_params());
+        update.gone_charts.len()
+    };
+    assert_eq!(num_gone(0), 0);
+    assert!(num_gone(10_000) > 0);
+}
+
+#[test]
 fn nothing_new_changes_nothing() {
     let (params, stream) = (texinit_params(), stream_params());
     let mut scan = Scan::new(3);
