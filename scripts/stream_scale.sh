@@ -33,14 +33,14 @@ most = max(row["triangles"] for row in rows)
 highest = max(max(row["updates_ms"]) for row in rows)
 step = 10 ** math.floor(math.log10(highest))
 step = next(s for s in (step / 5, step / 2, step, 2 * step) if highest / s <= 8)
-x = lambda n: LEFT + (WIDTH - LEFT - 20) * n / most
+x = lambda n: LEFT + (WIDTH - LEFT - 45) * n / most
 y = lambda ms: HEIGHT - BOTTOM - (HEIGHT - BOTTOM - TOP) * ms / highest
 parts = [f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {HEIGHT}" '
          'font-family="sans-serif" font-size="13">',
          f'<rect width="{WIDTH}" height="{HEIGHT}" fill="white"/>']
 ms = 0.0
 while ms <= highest:
-    parts.append(f'<path d="M{LEFT} {y(ms):.1f}H{WIDTH - 20}" stroke="#ddd"/>'
+    parts.append(f'<path d="M{LEFT} {y(ms):.1f}H{WIDTH - 45}" stroke="#ddd"/>'
                  f'<text x="{LEFT - 8}" y="{y(ms) + 4:.1f}" text-anchor="end">{ms:g}</text>')
     ms += step
 for i in range(5):
