@@ -420,6 +420,18 @@ fn the_samples_of_the_fuzzing_are_read() {
     }
 }
 
+#[test]
+fn a_model_whose_accessors_are_missing_is_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("sample.glb");
+    let mut file = sample("glb");
+    let at = file.windows(9).position(|word| word == b"accessors");
+    file[at.unwrap()] = b'b';
+    std::fs::write(&path, file).unwrap();
+    let refused = model::read(&path).unwrap_err().to_string();
+    assert!(refused.contains("accessor"), "{refused}");
+}
+
 proptest! {
     #![proptest_config(ProptestConfig { cases: 400, ..ProptestConfig::default() })]
     #[test]

@@ -20,8 +20,12 @@ const MAX_DEPTH: usize = 256;
 
 pub(super) fn read(file: &ModelFile<'_>) -> Result<ModelParts, ModelFileError> {
     let bytes = file.bytes()?;
-    let gltf::Gltf { document, blob } = gltf::Gltf::from_slice(&bytes)
-        .map_err(|error| file.refuse(format!("not a readable glTF file: {error}")))?;
+    let unreadable = |error| file.refuse(format!("not a readable glTF file: {error}"));
+    let gltf::Gltf { document, blob } =
+        gltf::Gltf::from_slice_without_validation(&bytes).map_err(unreadable)?;
+    let root = document.into_json();
+    check_attributes(&root).map_err(|reason| file.refuse(reason))?;
+    let document = gltf::Document::from_json(root).map_err(unreadable)?;
     let mut reader = Reader {
         file,
         buffers: Vec::new(),
@@ -53,6 +57,18 @@ pub(super) fn read(file: &ModelFile<'_>) -> Result<ModelParts, ModelFileError> {
         reader.parts.vertex_srgb.clear();
     }
     Ok(reader.parts)
+}
+
+/// Checks that the attributes of primitives are there: validating looks at them before it knows.
+fn check_attributes(root: &gltf::json::Root) -> Result<(), String> {
+    let primitives = root.meshes.iter().flat_map(|mesh| &mesh.primitives);
+    for accessor in primitives.flat_map(|primitive| primitive.attributes.values()) {
+        let (index, num) = (accessor.value(), root.accessors.len());
+        if index >= num {
+            return Err(format!("a primitive asks for accessor {index} of {num}"));
+        }
+    }
+    Ok(())
 }
 
 /// (x, y, z) of glTF becomes (x, −z, y).
