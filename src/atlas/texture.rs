@@ -3,6 +3,8 @@
 use std::ops::Deref;
 use std::sync::{Arc, Weak};
 
+use super::layout::PlacedChart;
+
 /// Where a texel's colour came from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct TexelSource(u32);
@@ -57,6 +59,17 @@ impl TexturePage {
             srgb: vec![[0; 3]; num_texels],
             source: vec![TexelSource::NONE; num_texels],
             confidence: vec![0; num_texels],
+        }
+    }
+
+    /// Makes a chart's own texels as if nothing had been painted on them.
+    pub(crate) fn blank_chart(&mut self, placed: &PlacedChart) {
+        for (row, first, len) in placed.own_spans() {
+            let start = (row * self.width + first) as usize;
+            let span = start..start + len as usize;
+            self.srgb[span.clone()].fill([0; 3]);
+            self.source[span.clone()].fill(TexelSource::NONE);
+            self.confidence[span].fill(0);
         }
     }
 }

@@ -8,7 +8,7 @@
 
 use std::sync::Arc;
 
-use crate::atlas::{AtlasLayout, AtlasTexture, TexelSource, restrict};
+use crate::atlas::{AtlasLayout, AtlasTexture, restrict};
 use crate::ingest::MeshBlocks;
 use crate::keyframe::{KeyframeParams, SightBox};
 use crate::mesh::{Region, TriMesh, TriangleId};
@@ -84,14 +84,9 @@ impl RegionParams {
             if chart.triangles.iter().any(|&triangle| is_own(triangle)) {
                 continue;
             }
-            let page = texture.pages[chart.page as usize].to_mut();
-            for (row, first, len) in chart.own_spans() {
-                let start = (row * page.width + first) as usize;
-                let span = start..start + len as usize;
-                page.srgb[span.clone()].fill([0; 3]);
-                page.source[span.clone()].fill(TexelSource::NONE);
-                page.confidence[span].fill(0);
-            }
+            texture.pages[chart.page as usize]
+                .to_mut()
+                .blank_chart(chart);
         }
         (*mesh, *layout) = restrict(mesh, layout, is_own);
     }

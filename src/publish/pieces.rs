@@ -326,7 +326,7 @@ impl Region {
 enum Judged<T> {
     Piece(CutPiece<T>),
     TooLarge(Digest, Node),
-    /// So much too large, or so often, that it was not tried.
+    /// So much too large that it was not tried, or too large before.
     FarTooLarge(Node),
 }
 

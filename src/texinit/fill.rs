@@ -1,10 +1,10 @@
 //! Colours for texels that no frame painted: spread over the surface from where it is painted.
 //!
-//! Vertices of triangles with unpainted texels get a colour in linear light: the mean of the
-//! painted texels of their triangles, weighted towards the vertex; where there are none, a
-//! harmonic blend of their neighbours' along the mesh's edges ([`diffusion`]; vertices of equal
-//! position count as one, so it crosses charts and cuts). Unpainted texels interpolate their
-//! triangle's vertices, whose colours are rounded to bytes before. A component of the surface without any painted texel becomes neutral.
+//! Vertices of triangles with unpainted texels get a colour in linear light: the mean of the painted texels
+//! of their triangles, weighted towards the vertex; where there are none, a harmonic blend of their
+//! neighbours' along the mesh's edges ([`diffusion`]; vertices of equal position count as one, so it
+//! crosses charts and cuts). Unpainted texels interpolate their triangle's vertices, whose colours are
+//! rounded to bytes before. A component of the surface without any painted texel becomes neutral.
 //!
 //! Texels filled earlier ([`TexelSource::DIFFUSED`]) are filled anew; painted ones never change.
 //! Runs after colour transfer and before the gutters. Charts are done in parallel, the diffusion
@@ -179,15 +179,15 @@ impl LentColours {
         self.0.clear();
     }
 
-    /// Takes the colours of the vertices; per vertex of the mesh whether it is another.
+    /// Takes the colours of the vertices; per vertex of the mesh, of `num_vertices`, whether it has another.
     fn renew(
         &mut self,
         vertices: &diffusion::SurfaceVertices<'_>,
         now: &[Lent],
-        num: usize,
+        num_vertices: usize,
     ) -> Vec<bool> {
-        let mut is_other = vec![false; num];
-        self.0.resize(num, None);
+        let mut is_other = vec![false; num_vertices];
+        self.0.resize(num_vertices, None);
         for (vertex, &lent) in vertices.of_mesh().iter().zip(now) {
             let vertex = *vertex as usize;
             is_other[vertex] = self.0[vertex].replace(lent) != Some(lent);

@@ -11,7 +11,7 @@ use super::cover::Cover;
 use super::inherit::Orphans;
 use super::labels::KeptLabels;
 use super::{StreamError, StreamInit, StreamUpdate};
-use crate::atlas::{ChartKey, ChartPlacer, TexelSource};
+use crate::atlas::{ChartKey, ChartPlacer};
 use crate::mesh::{MeshDiff, OldTriangle, Origin, TriMesh, TriangleId};
 use crate::render::BoundingBox;
 use crate::texinit::assign::chart_table::chart_mesh;
@@ -259,14 +259,7 @@ impl StreamInit {
     /// Blanks a chart's texels and frees its cells.
     fn take_off(&mut self, chart: &StreamChart) {
         if let Some(page) = self.texture.pages.get_mut(chart.piece.chart.page as usize) {
-            let page = page.to_mut();
-            for (y, first, len) in chart.piece.chart.own_spans() {
-                let start = (y * page.width + first) as usize;
-                let span = start..start + len as usize;
-                page.srgb[span.clone()].fill([0; 3]);
-                page.source[span.clone()].fill(TexelSource::NONE);
-                page.confidence[span].fill(0);
-            }
+            page.to_mut().blank_chart(&chart.piece.chart);
         }
         if let Some(placer) = &mut self.placer {
             placer.remove(chart.piece.slot);
