@@ -91,14 +91,18 @@ pub struct OldTriangle {
 }
 
 /// What [`diff`] found.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct MeshDiff {
-    /// Per new triangle.
+    /// Leading new triangles that are kept under their number, listed from the same corner; as many as
+    /// there are.
+    pub num_in_place: usize,
+    /// Per new triangle after these.
     pub origins: Vec<Origin>,
     /// Old triangles that are neither kept nor moved, ascending.
     pub gone: Vec<TriangleId>,
-    /// Per new vertex: whether a triangle at its place is gone, or one at it is not kept.
-    pub is_touched: Vec<bool>,
+    /// New vertices, ascending, each once, whether a triangle names them or not: those at whose place a
+    /// triangle is gone, or at which one is not kept.
+    pub touched: Vec<u32>,
 }
 
 /// How many triangles are what.
@@ -130,21 +134,42 @@ impl DiffCounts {
 }
 
 impl MeshDiff {
-    /// Leading new triangles that are kept under their number, listed from the same corner.
-    pub fn num_in_place(&self) -> usize {
-        let in_place = |(number, origin): &(u32, &Origin)| {
+    /// The first `num_in_place` triangles are in place; of those after them, whose `origins` these are, the
+    /// first may be as well.
+    fn of(
+        mut num_in_place: usize,
+        mut origins: Vec<Origin>,
+        gone: Vec<TriangleId>,
+        touched: Vec<u32>,
+    ) -> Self {
+        let is_in_place = |(triangle, origin): &(TriangleId, &Origin)| {
             let itself = OldTriangle {
-                triangle: TriangleId(*number),
+                triangle: *triangle,
                 first_corner: 0,
             };
             **origin == Origin::Kept(itself)
         };
-        (0_u32..).zip(&self.origins).take_while(in_place).count()
+        let others = ids_from(num_in_place).zip(&origins);
+        let num_more = others.take_while(is_in_place).count();
+        origins.drain(..num_more);
+        num_in_place += num_more;
+        Self {
+            num_in_place,
+            origins,
+            gone,
+            touched,
+        }
+    }
+
+    /// New triangles after those in place, and where they come from.
+    pub fn others(&self) -> impl Iterator<Item = (TriangleId, Origin)> {
+        ids_from(self.num_in_place).zip(self.origins.iter().copied())
     }
 
     /// How many triangles are what.
     pub fn counts(&self) -> DiffCounts {
         let mut counts = DiffCounts {
+            num_kept: self.num_in_place,
             num_gone: self.gone.len(),
             ..DiffCounts::default()
         };
@@ -158,6 +183,36 @@ impl MeshDiff {
         }
         counts
     }
+}
+
+/// Triangles from the `first` on.
+#[expect(
+    clippy::cast_possible_truncation,
+    reason = "a mesh has 32 bits of triangles"
+)]
+fn ids_from(first: usize) -> impl Iterator<Item = TriangleId> {
+    (first as u32..).map(TriangleId)
+}
+
+/// Numbers below `end`, ascending, each once.
+fn each_once(mut numbers: Vec<u32>, end: usize) -> Vec<u32> {
+    // Many are sooner marked than sorted.
+    if numbers.len() < end / 16 {
+        numbers.sort_unstable();
+        numbers.dedup();
+        return numbers;
+    }
+    let mut is_there = vec![false; end];
+    for number in numbers {
+        is_there[number as usize] = true;
+    }
+    marked(is_there)
+}
+
+/// The numbers of those that are marked, ascending.
+fn marked(is_marked: impl IntoIterator<Item = bool>) -> Vec<u32> {
+    let numbers = (0_u32..).zip(is_marked).filter(|(_, is_it)| *is_it);
+    numbers.map(|(number, _)| number).collect()
 }
 
 /// `mesh` with every position on the nearest point of a grid of `quantum_m`, and vertices at one
@@ -209,21 +264,30 @@ pub fn diff(old: &TriMesh, new: &TriMesh, params: &DiffParams) -> Result<MeshDif
     let mut places = Places::with_capacity(old.num_vertices() + new.num_vertices());
     let old_places = places_of(old, params, &mut places)?;
     let new_places = places_of(new, params, &mut places)?;
-    let turned = |mesh: &TriMesh, places: &[u32]| {
+    let turned = |mesh: &TriMesh, places: &[u32]| -> Vec<Turned> {
         let corners = mesh.triangles().iter();
         let turned = corners.map(|corners| Turned::of(corners.map(|v| places[v as usize])));
-        mesh.triangle_ids().zip(turned).collect()
+        turned.collect()
     };
+    let is_old = named(&places, &old_places, old);
+    let is_new = named(&places, &new_places, new);
     let comparison = Comparison {
-        old: turned(old, &old_places),
-        new: turned(new, &new_places),
-        is_old: &named(&places, &old_places, old),
-        is_new: &named(&places, &new_places, new),
         places: &places,
+        old: old.triangle_ids().zip(turned(old, &old_places)).collect(),
+        new: turned(new, &new_places),
+        went: &marked(is_old.iter().zip(&is_new).map(|(old, new)| *old && !*new)),
+        came: &marked(is_new.iter().zip(&is_old).map(|(new, old)| *new && !*old)),
         params,
     };
-    let mut origins = vec![Origin::New; new.num_triangles()];
-    let Compared { gone, is_gone_at } = comparison.find(&mut origins);
+    let Compared {
+        origins,
+        gone,
+        gone_at,
+    } = comparison.find();
+    let mut is_gone_at = vec![false; places.len()];
+    for place in gone_at {
+        is_gone_at[place as usize] = true;
+    }
     let mut is_touched: Vec<bool> = new_places.iter().map(|&p| is_gone_at[p as usize]).collect();
     for (corners, origin) in new.triangles().iter().zip(&origins) {
         if !matches!(origin, Origin::Kept(_)) {
@@ -232,11 +296,7 @@ pub fn diff(old: &TriMesh, new: &TriMesh, params: &DiffParams) -> Result<MeshDif
             }
         }
     }
-    Ok(MeshDiff {
-        origins,
-        gone,
-        is_touched,
-    })
+    Ok(MeshDiff::of(0, origins, gone, marked(is_touched)))
 }
 
 /// Per place, whether a triangle names a vertex there.
@@ -271,16 +331,25 @@ type GridPoint = [i64; 3];
 /// Grid numbers beyond this are not exact.
 const MAX_STEPS: f64 = (1_u64 << 52) as f64;
 
-#[expect(clippy::cast_possible_truncation, reason = "checked against MAX_STEPS")]
 fn grid_point(position_m: &Point3<f64>, quantum_m: f64) -> Result<GridPoint, DiffError> {
-    let steps = position_m.coords.map(|c| (c / quantum_m).round());
-    match steps.iter().position(|s| s.abs() > MAX_STEPS) {
-        Some(axis) => Err(DiffError::OffGrid {
-            coordinate_m: position_m[axis],
+    let is_off = |c: &f64| (c / quantum_m).round().abs() > MAX_STEPS;
+    match position_m.iter().find(|c| is_off(c)) {
+        Some(&coordinate_m) => Err(DiffError::OffGrid {
+            coordinate_m,
             quantum_m,
         }),
-        None => Ok([steps.x as i64, steps.y as i64, steps.z as i64]),
+        None => Ok(nearest_point(position_m, quantum_m)),
     }
+}
+
+/// The point of a position that is known to be on the grid.
+#[expect(
+    clippy::cast_possible_truncation,
+    reason = "below MAX_STEPS, as was checked"
+)]
+fn nearest_point(position_m: &Point3<f64>, quantum_m: f64) -> GridPoint {
+    let [x, y, z] = position_m.coords.into();
+    [x, y, z].map(|c: f64| (c / quantum_m).round() as i64)
 }
 
 /// Per vertex, the number of its place.
@@ -300,99 +369,79 @@ struct Comparison<'a> {
     places: &'a Places,
     /// Triangles of the old mesh that may have a successor; ascending.
     old: Vec<(TriangleId, Turned)>,
-    /// Triangles of the new mesh that may have a predecessor; ascending.
-    new: Vec<(TriangleId, Turned)>,
-    /// Per place: whether a triangle of the old mesh, to be compared or not, is there.
-    is_old: &'a [bool],
-    /// The same of the new mesh.
-    is_new: &'a [bool],
+    /// Triangles of the new mesh that may have a predecessor.
+    new: Vec<Turned>,
+    /// Places that triangles of the old mesh name, and none of the new one; ascending.
+    went: &'a [u32],
+    /// Places that triangles of the new mesh name, and none of the old one; ascending.
+    came: &'a [u32],
     params: &'a DiffParams,
 }
 
 /// What came of a comparison.
 struct Compared {
+    /// Per triangle of the new mesh that was compared.
+    origins: Vec<Origin>,
     /// Old triangles that are neither kept nor moved, ascending.
     gone: Vec<TriangleId>,
-    /// Per place: whether an old triangle is gone there, before or after a move.
-    is_gone_at: Vec<bool>,
+    /// Places at which an old triangle is gone, before or after a move; ascending, each once.
+    gone_at: Vec<u32>,
 }
 
 impl Comparison<'_> {
-    /// Finds where the new triangles come from; the origins of others are left alone.
-    fn find(&self, origins: &mut [Origin]) -> Compared {
+    /// Finds where the new triangles come from.
+    fn find(&self) -> Compared {
         let old: Vec<Turned> = self.old.iter().map(|(_, turned)| *turned).collect();
-        let named = |found: OldTriangle, of: &[u32]| OldTriangle {
-            triangle: self.old[of[found.triangle.index()] as usize].0,
+        let named = |found: OldTriangle, index: TriangleId| OldTriangle {
+            triangle: self.old[index.index()].0,
             ..found
         };
-        let all: Vec<u32> = (0_u32..).take(old.len()).collect();
         let mut pool = Pool::of(&old);
-        for &(triangle, turned) in &self.new {
-            origins[triangle.index()] = match pool.take(turned, &old) {
-                Some(found) => Origin::Kept(named(found, &all)),
-                None => Origin::New,
-            };
-        }
+        let kept = |turned| match pool.take(turned, &old) {
+            Some(found) => Origin::Kept(named(found, found.triangle)),
+            None => Origin::New,
+        };
+        let mut origins: Vec<Origin> = self.new.iter().copied().map(kept).collect();
 
-        let moves = self.moves(&pool.left(), origins);
+        // A triangle at a place that the other mesh does not name has no equal there.
+        let moves = nearest::Moves::mutual(self.places, self.went, self.came, self.params);
         if !moves.is_empty() {
-            let left: Vec<u32> = pool.left().into_iter().map(|index| index.0).collect();
-            let moved = |&index: &u32| old[index as usize].with_places(|p| moves.after(p));
+            let left = pool.left();
+            let moved = |index: &TriangleId| old[index.index()].with_places(|p| moves.after(p));
             let after: Vec<Turned> = left.iter().map(moved).collect();
             let mut moved = Pool::of(&after);
-            for &(triangle, turned) in &self.new {
-                let origin = &mut origins[triangle.index()];
+            for (&turned, origin) in self.new.iter().zip(&mut origins) {
                 if *origin == Origin::New
                     && let Some(found) = moved.take(turned, &after)
                 {
-                    pool.remove(TriangleId(left[found.triangle.index()]));
-                    *origin = Origin::Moved(named(found, &left));
+                    let index = left[found.triangle.index()];
+                    pool.remove(index);
+                    *origin = Origin::Moved(named(found, index));
                 }
             }
         }
 
-        let mut compared = Compared {
-            gone: Vec::new(),
-            is_gone_at: vec![false; self.places.len()],
-        };
+        let mut gone = Vec::new();
+        let mut gone_at = Vec::new();
         for index in pool.left() {
             let (triangle, turned) = self.old[index.index()];
-            compared.gone.push(triangle);
-            for place in turned.places {
-                compared.is_gone_at[place as usize] = true;
-                compared.is_gone_at[moves.after(place) as usize] = true;
-            }
+            gone.push(triangle);
+            gone_at.extend(turned.places);
+            gone_at.extend(turned.places.map(|place| moves.after(place)));
         }
-        for (triangle, turned) in &self.new {
-            let origin = &mut origins[triangle.index()];
-            let is_gone = |&place: &u32| compared.is_gone_at[place as usize];
+        let gone_at = each_once(gone_at, self.places.len());
+        for (turned, origin) in self.new.iter().zip(&mut origins) {
+            let is_gone = |place: &u32| gone_at.binary_search(place).is_ok();
             if *origin == Origin::New && turned.places.iter().any(is_gone) {
                 *origin = Origin::Changed;
             }
         }
-        compared
+        Compared {
+            origins,
+            gone,
+            gone_at,
+        }
     }
-
-    /// Where vertices went that are nowhere any more.
-    fn moves(&self, left: &[TriangleId], origins: &[Origin]) -> nearest::Moves {
-        let left = left.iter().map(|index| self.old[index.index()].1);
-        let came = self.new.iter();
-        let came = came.filter(|(triangle, _)| origins[triangle.index()] == Origin::New);
-        let left = lone_places(left, self.is_new);
-        let came = lone_places(came.map(|(_, turned)| *turned), self.is_old);
-        nearest::Moves::mutual(self.places, &left, &came, self.params)
-    }
-}
-
-/// Places of the triangles that are not there on the other side, ascending.
-fn lone_places(triangles: impl Iterator<Item = Turned>, is_on_other_side: &[bool]) -> Vec<u32> {
-    let places = triangles.flat_map(|triangle| triangle.places);
-    let mut lone: Vec<u32> = places
-        .filter(|&place| !is_on_other_side[place as usize])
-        .collect();
-    lone.sort_unstable();
-    lone.dedup();
-    lone
 }
 
 #[cfg(test)]

@@ -141,6 +141,11 @@ impl TriMesh {
         );
     }
 
+    /// Whether both are known, without a look at them, to have the same vertices.
+    pub(super) fn shares_vertices(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.positions_m, &other.positions_m)
+    }
+
     /// Vertex positions in metres.
     pub fn positions_m(&self) -> &[Point3<f64>] {
         &self.positions_m

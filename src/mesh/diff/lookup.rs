@@ -114,11 +114,16 @@ impl Places {
     }
 
     /// The number of a point.
+    pub(super) fn insert(&mut self, point: GridPoint) -> u32 {
+        self.enter(point).0
+    }
+
+    /// The number of a point, and whether it had none before.
     #[expect(
         clippy::cast_possible_truncation,
         reason = "two meshes of 32 bits at most"
     )]
-    pub(super) fn insert(&mut self, point: GridPoint) -> u32 {
+    pub(super) fn enter(&mut self, point: GridPoint) -> (u32, bool) {
         let points = &mut self.points;
         if 2 * (points.len() - self.free.len()) >= self.slots.slots.len() {
             self.slots.grow(|place| hash_of(points[place as usize]));
@@ -126,7 +131,8 @@ impl Places {
         let slot = self
             .slots
             .find(hash_of(point), |k| points[k as usize] == point);
-        if *slot == EMPTY {
+        let is_new = *slot == EMPTY;
+        if is_new {
             *slot = match self.free.pop() {
                 Some(free) => {
                     points[free as usize] = point;
@@ -138,7 +144,7 @@ impl Places {
                 }
             };
         }
-        *slot
+        (*slot, is_new)
     }
 
     /// The number of a point that has one.

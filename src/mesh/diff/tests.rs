@@ -72,10 +72,21 @@ fn geometry(mesh: &TriMesh, triangle: TriangleId) -> [GridPoint; 3] {
     [[a, b, c], [b, c, a], [c, a, b]].into_iter().min().unwrap()
 }
 
+/// Per triangle of the new mesh.
+fn origins(diff: &MeshDiff) -> Vec<Origin> {
+    let in_place = ids_from(0).take(diff.num_in_place).map(|triangle| {
+        Origin::Kept(OldTriangle {
+            triangle,
+            first_corner: 0,
+        })
+    });
+    in_place.chain(diff.origins.iter().copied()).collect()
+}
+
 /// By geometry: how many triangles there are of each class (0 kept, 1 moved, 2 changed, 3 new).
 fn classes(mesh: &TriMesh, diff: &MeshDiff) -> BTreeMap<([GridPoint; 3], u8), usize> {
     let mut classes = BTreeMap::new();
-    for (triangle, origin) in mesh.triangle_ids().zip(&diff.origins) {
+    for (triangle, origin) in mesh.triangle_ids().zip(origins(diff)) {
         let class = match origin {
             Origin::Kept(_) => 0,
             Origin::Moved(_) => 1,
@@ -93,7 +104,9 @@ fn classes(mesh: &TriMesh, diff: &MeshDiff) -> BTreeMap<([GridPoint; 3], u8), us
 fn check(old: &TriMesh, new: &TriMesh, diff: &MeshDiff, params: &DiffParams) {
     let mut is_named = vec![false; old.num_triangles()];
     let reach_m = params.max_move_m + 2.0 * params.quantum_m;
-    for (triangle, origin) in new.triangle_ids().zip(&diff.origins) {
+    let origins = origins(diff);
+    assert_eq!(origins.len(), new.num_triangles());
+    for (triangle, origin) in new.triangle_ids().zip(&origins) {
         let (from, reach_m) = match origin {
             Origin::Kept(from) => (from, 2.0 * params.quantum_m),
             Origin::Moved(from) => (from, reach_m),
@@ -111,6 +124,20 @@ fn check(old: &TriMesh, new: &TriMesh, diff: &MeshDiff, params: &DiffParams) {
     }
     let unnamed = old.triangle_ids().filter(|t| !is_named[t.index()]);
     assert_eq!(unnamed.collect::<Vec<_>>(), diff.gone);
+    assert!(diff.touched.is_sorted_by(|a, b| a < b), "each once");
+    let last = diff.touched.last();
+    assert!(last.is_none_or(|&last| (last as usize) < new.num_vertices()));
+    // As many are in place as there are.
+    let next = diff.others().next();
+    let is_in_place = next.is_some_and(|(triangle, origin)| {
+        let first_corner = 0;
+        origin
+            == Origin::Kept(OldTriangle {
+                triangle,
+                first_corner,
+            })
+    });
+    assert!(!is_in_place, "{next:?}");
 }
 
 fn counts_of(old: &TriMesh, new: &TriMesh) -> DiffCounts {
@@ -180,8 +207,7 @@ fn a_flipped_edge_is_a_change() {
         (2, 2, 16)
     );
     let found = diff(&old, &new, &DiffParams::default()).unwrap();
-    let num_touched = found.is_touched.iter().filter(|t| **t).count();
-    assert_eq!(num_touched, 4);
+    assert_eq!(found.touched.len(), 4);
 }
 
 #[test]
@@ -306,7 +332,7 @@ proptest! {
 /// Places of named vertices that are touched, in steps of the grid.
 fn touched(mesh: &TriMesh, diff: &MeshDiff) -> Vec<GridPoint> {
     let corners = mesh.triangles().as_flattened().iter();
-    let touched = corners.filter(|&&vertex| diff.is_touched[vertex as usize]);
+    let touched = corners.filter(|vertex| diff.touched.binary_search(vertex).is_ok());
     let mut points: Vec<GridPoint> = touched
         .map(|&vertex| {
             let position_m = &mesh.positions_m()[vertex as usize];
@@ -318,16 +344,34 @@ fn touched(mesh: &TriMesh, diff: &MeshDiff) -> Vec<GridPoint> {
     points
 }
 
+/// The points that triangles name, by the number of their vertex.
+fn named_points(mesh: &TriMesh) -> BTreeMap<GridPoint, u32> {
+    let corners = mesh.triangles().as_flattened().iter();
+    let points = corners.map(|&vertex| {
+        let position_m = &mesh.positions_m()[vertex as usize];
+        let point = grid_point(position_m, DiffParams::default().quantum_m);
+        (point.unwrap(), vertex)
+    });
+    points.collect()
+}
+
 /// Follows a mesh one step, and holds what is found against the comparison of the two alone.
 fn check_step(tracked: &mut TrackedMesh, before: &TriMesh, now: &TriMesh) {
     let params = DiffParams::default();
     let old = Arc::clone(tracked.mesh());
+    let num_renumberings = tracked.num_renumberings();
     let found = tracked.follow(&Arc::new(now.clone())).unwrap().unwrap();
     let mesh = tracked.mesh();
     check(&old, mesh, &found, &params);
     let alone = diff(before, now, &params).unwrap();
     assert_eq!(classes(mesh, &found), classes(now, &alone));
     assert_eq!(touched(mesh, &found), touched(now, &alone));
+    if tracked.num_renumberings() == num_renumberings {
+        let (old_points, points) = (named_points(&old), named_points(mesh));
+        for (point, vertex) in &points {
+            assert!(old_points.get(point).is_none_or(|before| before == vertex));
+        }
+    }
     // The same mesh on the grid, its triangles in the same order; no two vertices at one place.
     let on_grid = on_grid(now, params.quantum_m).unwrap();
     let corners_of = |mesh: &TriMesh| mesh.triangle_ids().map(|t| mesh.corners_m(t)).collect();
@@ -361,6 +405,152 @@ proptest! {
             before = now;
         }
     }
+}
+
+/// What happens to a mesh; numbers are taken modulo what is there.
+#[derive(Clone, Debug)]
+enum Edit {
+    /// Vertices and triangles come after the others.
+    Grow(Vec<[f64; 3]>, Vec<[u32; 3]>),
+    /// Some of the last triangles go, and vertices behind those that are named then.
+    Shrink(usize),
+    /// A triangle has other corners.
+    Change(usize, [u32; 3]),
+    /// A vertex lies elsewhere.
+    Move(usize, [f64; 3]),
+    /// A triangle comes before others.
+    Insert(usize, [u32; 3]),
+    /// Vertices have other numbers; triangles stay in order.
+    Renumber,
+    /// Triangles and vertices come in another order.
+    Shuffle(u64),
+    /// A triangle has a corner that the grid cannot number: the mesh is refused.
+    Lose(usize),
+}
+
+impl Edit {
+    fn of(&self, mesh: &TriMesh) -> TriMesh {
+        let mut positions = mesh.positions_m().to_vec();
+        let mut triangles = mesh.triangles().to_vec();
+        let (num_vertices, num_triangles) = (positions.len().max(1), triangles.len().max(1));
+        let named = |corners: [u32; 3]| corners.map(|v| v % num_vertices as u32);
+        match *self {
+            Self::Grow(ref more_positions, ref more) => {
+                positions.extend(more_positions.iter().map(|&p| Point3::from(p)));
+                let num_vertices = positions.len() as u32;
+                let more = more.iter().filter(|_| num_vertices > 0);
+                triangles.extend(more.map(|corners| corners.map(|v| v % num_vertices)));
+            }
+            Self::Shrink(num) => {
+                triangles.truncate(triangles.len() - num % num_triangles);
+                let last = triangles.as_flattened().iter().max();
+                positions.truncate(last.map_or(0, |&last| last as usize + 1));
+            }
+            Self::Change(triangle, corners) if !triangles.is_empty() => {
+                triangles[triangle % num_triangles] = named(corners);
+            }
+            Self::Move(vertex, to) if !positions.is_empty() => {
+                positions[vertex % num_vertices] = Point3::from(to);
+            }
+            Self::Insert(at, corners) if !positions.is_empty() => {
+                triangles.insert(at % num_triangles, named(corners));
+            }
+            Self::Renumber => {
+                positions.reverse();
+                let reversed = |vertex: &mut u32| *vertex = num_vertices as u32 - 1 - *vertex;
+                triangles.as_flattened_mut().iter_mut().for_each(reversed);
+            }
+            Self::Shuffle(seed) => return shuffled(mesh, seed),
+            Self::Lose(at) => {
+                triangles.insert(at % num_triangles, [0, 0, positions.len() as u32]);
+                positions.push(Point3::new(1.0, -1e13, 0.0));
+            }
+            _ => {}
+        }
+        TriMesh::from_soup(positions, triangles).unwrap().0
+    }
+}
+
+fn edits() -> impl Strategy<Value = Edit> {
+    let nudge = prop_oneof![4 => Just(0_i32), 1 => 1_i32..12];
+    // So few that several vertices are at one.
+    let point = || {
+        let at = ([0_i32..3, 0_i32..3, 0_i32..2], nudge.clone());
+        at.prop_map(|([x, y, z], nudge)| {
+            let [x, y, z] = [x, y, z].map(|c| 0.05 * f64::from(c));
+            [x + 0.001 * f64::from(nudge), y, z]
+        })
+    };
+    let corners = || [0_u32..200, 0_u32..200, 0_u32..200];
+    let more_points = proptest::collection::vec(point(), 0..8);
+    let more = proptest::collection::vec(corners(), 0..12);
+    prop_oneof![
+        4 => (more_points, more).prop_map(|(points, more)| Edit::Grow(points, more)),
+        2 => (0_usize..12).prop_map(Edit::Shrink),
+        2 => (any::<usize>(), corners()).prop_map(|(at, corners)| Edit::Change(at, corners)),
+        2 => (any::<usize>(), point()).prop_map(|(at, to)| Edit::Move(at, to)),
+        1 => (any::<usize>(), corners()).prop_map(|(at, corners)| Edit::Insert(at, corners)),
+        1 => Just(Edit::Renumber),
+        1 => any::<u64>().prop_map(Edit::Shuffle),
+        1 => any::<usize>().prop_map(Edit::Lose),
+    ]
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(256))]
+    #[test]
+    fn what_is_followed_edit_by_edit_differs_as_each_two_meshes_do(
+        (_, first) in soups(),
+        edits in proptest::collection::vec(edits(), 1..16),
+    ) {
+        let mut tracked = TrackedMesh::new(&DiffParams::default()).unwrap();
+        check_step(&mut tracked, &TriMesh::default(), &first);
+        let mut before = first;
+        for edit in edits {
+            let now = edit.of(&before);
+            if matches!(edit, Edit::Lose(_)) {
+                let mesh = Arc::clone(tracked.mesh());
+                let refused = tracked.follow(&Arc::new(now));
+                prop_assert!(
+                    matches!(refused, Err(DiffError::OffGrid { coordinate_m: -1e13, .. })),
+                    "{:?}", refused
+                );
+                prop_assert!(Arc::ptr_eq(tracked.mesh(), &mesh));
+            } else {
+                check_step(&mut tracked, &before, &now);
+                before = now;
+            }
+        }
+    }
+}
+
+#[test]
+fn triangles_in_place_are_not_listed() {
+    let mut tracked = TrackedMesh::new(&DiffParams::default()).unwrap();
+    let first = sheet(20, [0.0; 3]);
+    tracked.follow(&Arc::new(first.clone())).unwrap();
+    // Of the sheet that comes some vertices lie on those of the first.
+    let grown = joined(&first, &sheet(20, [1.9, 0.0, 0.0]));
+    check_step(&mut tracked, &first, &grown);
+    let edited = |edit: Edit, mesh: &TriMesh, tracked: &mut TrackedMesh| {
+        let edited = edit.of(mesh);
+        let found = tracked.follow(&Arc::new(edited.clone())).unwrap().unwrap();
+        (edited, found)
+    };
+    let again = joined(&grown, &sheet(1, [0.0, 9.0, 0.0]));
+    let found = tracked.follow(&Arc::new(again.clone())).unwrap().unwrap();
+    assert_eq!((found.num_in_place, found.origins.len()), (1600, 2));
+    assert_eq!(found.touched.len(), 4);
+    let (shrunk, found) = edited(Edit::Shrink(2), &again, &mut tracked);
+    assert_eq!((found.num_in_place, found.origins.len()), (1600, 0));
+    assert_eq!((found.gone.len(), found.touched.len()), (2, 4));
+    // Other numbers of vertices make no other triangles.
+    let (same, found) = edited(Edit::Renumber, &shrunk, &mut tracked);
+    assert_eq!((found.num_in_place, found.origins.len()), (1600, 0));
+    assert!(found.counts().is_same() && found.touched.is_empty());
+    let (_, found) = edited(Edit::Change(700, [0, 1, 2]), &same, &mut tracked);
+    assert_eq!((found.num_in_place, found.origins.len()), (700, 900));
+    assert_eq!(found.counts().num_kept, 1599);
 }
 
 #[test]
@@ -437,7 +627,15 @@ fn two_million_triangles() {
     );
     let mut tracked = TrackedMesh::new(&DiffParams::default()).unwrap();
     tracked.follow(&Arc::new(old)).unwrap();
-    for (order, new) in [("in order", new.clone()), ("shuffled", shuffled(&new, 5))] {
+    let grown = joined(&new, &sheet(20, [0.0, 0.0, 2.0]));
+    let changed = Edit::Change(1_000_000, [0, 1, 2]).of(&grown);
+    let steps = [
+        ("in order", new.clone()),
+        ("grown", grown),
+        ("changed in the middle", changed),
+        ("shuffled", shuffled(&new, 5)),
+    ];
+    for (order, new) in steps {
         let new = Arc::new(new);
         let start = std::time::Instant::now();
         let found = tracked.follow(&new).unwrap().unwrap();

@@ -292,12 +292,10 @@ impl StreamInit {
 
     /// Fills the unseen regions at vertices where the surface or its texels changed.
     pub(super) fn fill_beside(&mut self, change: &SurfaceChange, repainted: &mut Repainted) {
-        let is_seed: Vec<bool> = change
-            .is_touched
-            .iter()
-            .zip(&repainted.is_vertex)
-            .map(|(is_touched, is_repainted)| *is_touched || *is_repainted)
-            .collect();
+        let mut is_seed = repainted.is_vertex.clone();
+        for &vertex in &change.touched {
+            is_seed[vertex as usize] = true;
+        }
         if !is_seed.contains(&true) {
             return;
         }

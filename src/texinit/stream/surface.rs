@@ -33,8 +33,8 @@ pub(super) struct SurfaceChange {
     pub(super) gone: Vec<[Point3<f64>; 3]>,
     /// Surface that came, or moved there.
     pub(super) came: Vec<[Point3<f64>; 3]>,
-    /// Per vertex of `mesh`: whether a triangle at it came, went or moved.
-    pub(super) is_touched: Vec<bool>,
+    /// Vertices of `mesh` at which a triangle came, went or moved; ascending, each once.
+    pub(super) touched: Vec<u32>,
     /// Per chart, new ones included once they are placed.
     pub(super) dirt: Vec<Dirt>,
     /// Where surface that came or went lies in the images of keyframes that stayed, by number.
@@ -134,7 +134,6 @@ impl StreamInit {
         let Some(found) = found.or_else(|| self.all_kept()) else {
             update.mesh.num_kept = mesh.num_triangles();
             return Ok(SurfaceChange {
-                is_touched: vec![false; mesh.num_vertices()],
                 dirt: vec![Dirt::default(); self.charts.len()],
                 num_leading_charts: self.charts.len(),
                 mesh,
@@ -142,48 +141,36 @@ impl StreamInit {
             });
         };
         update.mesh = found.counts();
-        let num_in_place = found.num_in_place();
         let mut change = SurfaceChange {
-            gone: gone(&before, &found, num_in_place),
-            came: came(&mesh, &found, num_in_place),
+            gone: gone(&before, &found),
+            came: came(&mesh, &found),
             mesh,
             ..SurfaceChange::default()
         };
-        self.part_charts(&found, num_in_place, &mut change, update);
-        change.is_touched = found.is_touched;
+        self.part_charts(&found, &mut change, update);
+        change.touched = found.touched;
         Ok(change)
     }
 
     /// The same mesh as before, where it must be gone through nonetheless: charts have no density yet.
     fn all_kept(&self) -> Option<MeshDiff> {
-        let mesh = self.tracked.mesh();
-        let itself = |triangle| {
-            Origin::Kept(OldTriangle {
-                triangle,
-                first_corner: 0,
-            })
-        };
         (!self.has_density).then(|| MeshDiff {
-            origins: mesh.triangle_ids().map(itself).collect(),
-            gone: Vec::new(),
-            is_touched: vec![false; mesh.num_vertices()],
+            num_in_place: self.tracked.mesh().num_triangles(),
+            ..MeshDiff::default()
         })
     }
 
-    /// Keeps the charts that can stay, and takes the others off their pages. The first `num_in_place`
-    /// triangles are as they were, under their numbers.
+    /// Keeps the charts that can stay, and takes the others off their pages.
     fn part_charts(
         &mut self,
         found: &MeshDiff,
-        num_in_place: usize,
         change: &mut SurfaceChange,
         update: &mut StreamUpdate,
     ) {
         let num_before: usize = self.charts.iter().map(StreamChart::len).sum();
-        let mut successors = Successors::in_place(num_in_place, num_before);
-        let triangles = change.mesh.triangle_ids().zip(&found.origins);
-        for (triangle, origin) in triangles.skip(num_in_place) {
-            match *origin {
+        let mut successors = Successors::in_place(found.num_in_place, num_before);
+        for (triangle, origin) in found.others() {
+            match origin {
                 Origin::Kept(old) => successors.set(old.triangle, after(triangle, old, false)),
                 Origin::Moved(old) => successors.set(old.triangle, after(triangle, old, true)),
                 Origin::Changed | Origin::New => change.loose.push(triangle),
@@ -194,7 +181,7 @@ impl StreamInit {
         self.charts.reserve(charts.len());
         let mut are_all_there = true;
         for mut chart in charts {
-            let is_in_place = chart.last_member.index() < num_in_place;
+            let is_in_place = chart.last_member.index() < found.num_in_place;
             let after: Option<Vec<Successor>> = match is_in_place {
                 true => Some(Vec::new()),
                 false => chart.members.iter().map(|m| successors.of(m)).collect(),
@@ -365,10 +352,9 @@ impl StreamInit {
     }
 }
 
-/// Where surface is no more; the first `num_in_place` triangles stay.
-fn gone(before: &TriMesh, found: &MeshDiff, num_in_place: usize) -> Vec<[Point3<f64>; 3]> {
-    let moved = found.origins[num_in_place..].iter();
-    let moved = moved.filter_map(|origin| match origin {
+/// Where surface is no more.
+fn gone(before: &TriMesh, found: &MeshDiff) -> Vec<[Point3<f64>; 3]> {
+    let moved = found.origins.iter().filter_map(|origin| match origin {
         Origin::Moved(old) => Some(old.triangle),
         _ => None,
     });
@@ -376,9 +362,9 @@ fn gone(before: &TriMesh, found: &MeshDiff, num_in_place: usize) -> Vec<[Point3<
     gone.map(|triangle| before.corners_m(triangle)).collect()
 }
 
-/// Where surface is that was not there; not among the first `num_in_place` triangles.
-fn came(mesh: &TriMesh, found: &MeshDiff, num_in_place: usize) -> Vec<[Point3<f64>; 3]> {
-    let came = mesh.triangle_ids().zip(&found.origins).skip(num_in_place);
+/// Where surface is that was not there.
+fn came(mesh: &TriMesh, found: &MeshDiff) -> Vec<[Point3<f64>; 3]> {
+    let came = found.others();
     came.filter(|(_, origin)| !matches!(origin, Origin::Kept(_)))
         .map(|(triangle, _)| mesh.corners_m(triangle))
         .collect()
