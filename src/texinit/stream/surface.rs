@@ -99,25 +99,26 @@ impl Successors {
 
 /// Vertices of triangles that are new or changed.
 struct BesideChange {
-    is_vertex: Vec<bool>,
+    /// Ascending, each once.
+    vertices: Vec<u32>,
     bounds: BoundingBox,
 }
 
 impl BesideChange {
     fn of(mesh: &TriMesh, triangles: &[TriangleId]) -> Self {
-        let mut is_vertex = vec![false; mesh.num_vertices()];
-        for vertex in triangles.iter().flat_map(|t| mesh.triangles()[t.index()]) {
-            is_vertex[vertex as usize] = true;
-        }
+        let corners = triangles.iter().map(|t| mesh.triangles()[t.index()]);
+        let mut vertices: Vec<u32> = corners.flatten().collect();
+        vertices.par_sort_unstable();
+        vertices.dedup();
         Self {
-            is_vertex,
+            vertices,
             bounds: BoundingBox::of(mesh, triangles.iter().copied()),
         }
     }
 
     fn meets(&self, mesh: &TriMesh, triangle: TriangleId) -> bool {
         let mut corners = mesh.triangles()[triangle.index()].into_iter();
-        corners.any(|vertex| self.is_vertex[vertex as usize])
+        corners.any(|vertex| self.vertices.binary_search(&vertex).is_ok())
     }
 }
 
