@@ -119,7 +119,28 @@ impl<'a> TexturedMesh<'a> {
         texture: &'a AtlasTexture,
     ) -> Result<Self, ExportError> {
         check_pages(layout, texture)?;
-        check_triangles(mesh, layout)?;
+        check_counts(mesh, layout)?;
+        check_triangles(layout)?;
+        Ok(Self {
+            mesh,
+            layout,
+            texture,
+        })
+    }
+
+    /// The same without a look at each triangle, from someone who keeps the three together: only pages and
+    /// counts are compared.
+    ///
+    /// # Errors
+    /// [`ExportError`] with the first disagreement.
+    pub(crate) fn vouched(
+        mesh: &'a TriMesh,
+        layout: &'a AtlasLayout,
+        texture: &'a AtlasTexture,
+    ) -> Result<Self, ExportError> {
+        check_pages(layout, texture)?;
+        check_counts(mesh, layout)?;
+        debug_assert!(check_triangles(layout).is_ok(), "a triangle is nowhere");
         Ok(Self {
             mesh,
             layout,
@@ -195,7 +216,7 @@ fn check_pages(layout: &AtlasLayout, texture: &AtlasTexture) -> Result<(), Expor
     Ok(())
 }
 
-fn check_triangles(mesh: &TriMesh, layout: &AtlasLayout) -> Result<(), ExportError> {
+fn check_counts(mesh: &TriMesh, layout: &AtlasLayout) -> Result<(), ExportError> {
     let num_triangles = mesh.num_triangles();
     for (what, actual) in [
         ("charts of triangles", layout.chart_of_triangle.len()),
@@ -209,6 +230,11 @@ fn check_triangles(mesh: &TriMesh, layout: &AtlasLayout) -> Result<(), ExportErr
             });
         }
     }
+    Ok(())
+}
+
+/// Checks where each triangle lies.
+fn check_triangles(layout: &AtlasLayout) -> Result<(), ExportError> {
     let [width, height] = layout.page_size_texel;
     let dangling = |triangle, what, index, count| ExportError::DanglingIndex {
         triangle,

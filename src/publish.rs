@@ -37,7 +37,7 @@ use crate::atlas::{AtlasLayout, AtlasTexture, ChartKey};
 use crate::export::{ExportError, PageFormat, TexturedMesh};
 use crate::geom::Stamp;
 use crate::keyframe::Keyframe;
-use crate::mesh::TriMesh;
+use crate::mesh::{TriMesh, TriangleId};
 use crate::wire::{
     MarkerArray, MeshGeometryStamped, MeshMaterialsStamped, Message, PoseArray, SceneUpdate,
     TexturedMeshBlock, WireHeader,
@@ -133,8 +133,9 @@ pub struct Snapshot<'a> {
     pub texture: &'a AtlasTexture,
     /// The frames that paint.
     pub keyframes: &'a [Arc<Keyframe>],
-    /// What stands for each of the layout's charts, where that is known; it is found out otherwise, which
-    /// takes a look at every triangle.
+    /// What stands for each of the layout's charts, from who keeps mesh, layout and pages together, and vouches
+    /// that they belong so; otherwise it is found out, and they are checked, which takes a look at every
+    /// triangle.
     pub chart_keys: Option<&'a [ChartKey]>,
 }
 
@@ -146,20 +147,62 @@ impl<'a> Snapshot<'a> {
         }
     }
 
-    fn chart_keys(&self) -> Cow<'a, [ChartKey]> {
+    fn content(&self) -> Result<Content<'a>, PublishError> {
+        let (mesh, layout, texture) = (self.mesh, self.layout, self.texture);
         let known = self.chart_keys;
-        let known = known.filter(|keys| keys.len() == self.layout.charts.len());
-        match known {
-            Some(keys) => Cow::Borrowed(keys),
-            None => Cow::Owned(ChartKey::of_all(self.mesh, self.layout)),
-        }
+        let known = known.filter(|keys| keys.len() == layout.charts.len());
+        Ok(match known {
+            Some(keys) => Content {
+                textured: TexturedMesh::vouched(mesh, layout, texture)?,
+                keys: Cow::Borrowed(keys),
+                is_vouched: true,
+            },
+            None => Content {
+                textured: TexturedMesh::new(mesh, layout, texture)?,
+                keys: Cow::Owned(ChartKey::of_all(mesh, layout)),
+                is_vouched: false,
+            },
+        })
     }
 }
 
 /// What is shown, with what stands for its charts.
 struct Content<'a> {
     textured: TexturedMesh<'a>,
-    keys: &'a [ChartKey],
+    keys: Cow<'a, [ChartKey]>,
+    /// Whether who knew the keys vouches for the rest.
+    is_vouched: bool,
+}
+
+impl Content<'_> {
+    /// Calls `visit` with the triangles of the charts that are wanted, by chart and number or all by number:
+    /// where charts have their triangles in a row, as those have who vouch for them, that is the same.
+    fn for_each_triangle(
+        &self,
+        is_wanted: impl Fn(usize) -> bool,
+        mut visit: impl FnMut(usize, TriangleId),
+    ) {
+        let layout = self.textured.layout();
+        if self.is_vouched {
+            let charts = layout.charts.iter().enumerate();
+            for (index, chart) in charts.filter(|(index, _)| is_wanted(*index)) {
+                chart
+                    .triangles
+                    .iter()
+                    .for_each(|&triangle| visit(index, triangle));
+            }
+            return;
+        }
+        // By `chart_of_triangle`, which is what the exports go by.
+        let charts = self
+            .textured
+            .mesh()
+            .triangle_ids()
+            .zip(&layout.chart_of_triangle);
+        for (triangle, chart) in charts.filter(|(_, chart)| is_wanted(chart.index())) {
+            visit(chart.index(), triangle);
+        }
+    }
 }
 
 /// How states become messages.
@@ -337,9 +380,7 @@ impl Publisher {
         if !wanted_topics.iter().any(|(_, is_wanted)| *is_wanted) {
             return Ok(Vec::new());
         }
-        let textured = TexturedMesh::new(snapshot.mesh, snapshot.layout, snapshot.texture)?;
-        let keys = &*snapshot.chart_keys();
-        let content = &Content { textured, keys };
+        let content = &snapshot.content()?;
         let params = &self.params;
         let mut outgoing = Vec::new();
         let textures = params.viewer_format;

@@ -7,7 +7,6 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use crate::atlas::TexturePage;
-use crate::export::TexturedMesh;
 use crate::export::normals::smooth_normals;
 use crate::mesh::TriMesh;
 use crate::wire::mesh_materials::{MeshFaceCluster, MeshMaterial};
@@ -43,11 +42,9 @@ pub fn mesh_pieces(
     params: &PublishParams,
 ) -> Result<Vec<MeshPiece>, PublishError> {
     params.check()?;
-    let textured = TexturedMesh::new(snapshot.mesh, snapshot.layout, snapshot.texture)?;
-    let keys = &*snapshot.chart_keys();
     let cut = cut(
         snapshot,
-        &Content { textured, keys },
+        &snapshot.content()?,
         params,
         &mut Pieces::default(),
         &|_| false,

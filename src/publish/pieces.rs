@@ -202,14 +202,6 @@ impl PieceTriangle {
 }
 
 impl Piece {
-    fn new(page_index: u32, page: &TexturePage, triangles: Vec<PieceTriangle>) -> Self {
-        Self {
-            page: page_index,
-            crop: needed_texels(page, &triangles),
-            triangles,
-        }
-    }
-
     /// The corners of a triangle in [0, 1] of the crop, v down.
     #[expect(
         clippy::cast_possible_truncation,
@@ -254,10 +246,15 @@ impl Piece {
 
 /// The texels that the triangles touch and a margin around them.
 fn needed_texels(page: &TexturePage, triangles: &[PieceTriangle]) -> TexelRect {
-    let corners = || triangles.iter().flat_map(|t| t.corners_texel);
+    let (mut lowest, mut highest) = ([f32::INFINITY; 2], [f32::NEG_INFINITY; 2]);
+    for corner in triangles.iter().flat_map(|t| t.corners_texel) {
+        for axis in 0..2 {
+            lowest[axis] = corner[axis].min(lowest[axis]);
+            highest[axis] = corner[axis].max(highest[axis]);
+        }
+    }
     let [(x, width), (y, height)] = [(0, page.width), (1, page.height)].map(|(axis, side)| {
-        let low = corners().map(|c| c[axis]).fold(f32::INFINITY, f32::min);
-        let high = corners().map(|c| c[axis]).fold(f32::NEG_INFINITY, f32::max);
+        let (low, high) = (lowest[axis], highest[axis]);
         let first = whole(low.floor())
             .saturating_sub(MARGIN_TEXEL)
             .min(side - 1);
@@ -373,7 +370,7 @@ impl Pieces {
                     .collect(),
             );
         }
-        let mut nodes = roots(textured, &is_as_it_was);
+        let mut nodes = roots(content, &is_as_it_was);
         let mut too_large = vec![TooLarge::default(); before.len()];
         if self.stay_divided {
             for (now, before) in too_large.iter_mut().zip(&before) {
@@ -423,7 +420,7 @@ impl Pieces {
 fn charts_by_page(content: &Content<'_>) -> Vec<Digest> {
     let layout = content.textured.layout();
     let mut digesters: Vec<Digester> = (0..layout.num_pages).map(|_| Digester::new()).collect();
-    for (placed, key) in layout.charts.iter().zip(content.keys) {
+    for (placed, key) in layout.charts.iter().zip(&*content.keys) {
         if let Some(digester) = digesters.get_mut(placed.page as usize) {
             digester.bytes(&key.to_le_bytes());
         }
@@ -432,8 +429,8 @@ fn charts_by_page(content: &Content<'_>) -> Vec<Digest> {
 }
 
 /// All triangles of each page that is not as it was.
-fn roots(textured: &TexturedMesh<'_>, is_as_it_was: &[bool]) -> Vec<Node> {
-    let layout = textured.layout();
+fn roots(content: &Content<'_>, is_as_it_was: &[bool]) -> Vec<Node> {
+    let (mesh, layout) = (content.textured.mesh(), content.textured.layout());
     let [width, height] = layout.page_size_texel;
     // Powers of two, so that the middles stay where they are when a page grows taller.
     let region = Region {
@@ -450,16 +447,16 @@ fn roots(textured: &TexturedMesh<'_>, is_as_it_was: &[bool]) -> Vec<Node> {
     if !is_as_it_was.contains(&false) {
         return Vec::new();
     }
-    for triangle in textured.mesh().triangle_ids() {
-        let page = layout.page_of(triangle) as usize;
-        if is_as_it_was[page] {
-            continue;
-        }
-        roots[page].triangles.push(PieceTriangle {
-            corners_m: textured.mesh().corners_m(triangle).map(Into::into),
-            corners_texel: layout.corners_texel[triangle.index()],
-        });
-    }
+    let page_of = |chart: usize| layout.charts[chart].page as usize;
+    content.for_each_triangle(
+        |chart| !is_as_it_was[page_of(chart)],
+        |chart, triangle| {
+            roots[page_of(chart)].triangles.push(PieceTriangle {
+                corners_m: mesh.corners_m(triangle).map(Into::into),
+                corners_texel: layout.corners_texel[triangle.index()],
+            });
+        },
+    );
     roots.retain(|root| !root.triangles.is_empty());
     roots
 }
@@ -478,15 +475,22 @@ fn judge<T>(
     build: &Build<'_, T>,
 ) -> Result<Judged<T>, PublishError> {
     let page = &textured.texture().pages[node.page as usize];
-    let crop = needed_texels(page, &node.triangles);
-    let num_texels = crop.width as usize * crop.height as usize;
-    let least_bytes = node.triangles.len() * MIN_TRIANGLE_BYTES + num_texels / MAX_TEXELS_PER_BYTE;
     // One triangle is divided only where it must be.
     let was_too_large = node.triangles.len() > 1 && too_large.regions.contains(&node.region.bits());
-    if least_bytes > params.max_message_bytes || was_too_large {
+    let least_bytes = node.triangles.len() * MIN_TRIANGLE_BYTES;
+    if was_too_large || least_bytes > params.max_message_bytes {
         return Ok(Judged::FarTooLarge(node));
     }
-    let piece = Piece::new(node.page, page, node.triangles);
+    let crop = needed_texels(page, &node.triangles);
+    let num_texels = crop.width as usize * crop.height as usize;
+    if least_bytes + num_texels / MAX_TEXELS_PER_BYTE > params.max_message_bytes {
+        return Ok(Judged::FarTooLarge(node));
+    }
+    let piece = Piece {
+        page: node.page,
+        crop,
+        triangles: node.triangles,
+    };
     let digest = piece.digest(page);
     let place = Place {
         page: piece.page,

@@ -27,7 +27,7 @@ impl KnownParts {
         max_bytes: usize,
         is_sent: &dyn Fn(Digest) -> bool,
     ) -> Vec<(Digest, Option<TexturedChart>)> {
-        let Content { textured, keys } = content;
+        let Content { textured, keys, .. } = content;
         let mut before = std::mem::take(&mut self.by_chart);
         if std::mem::replace(&mut self.max_bytes, max_bytes) != max_bytes {
             before.clear();
@@ -43,13 +43,10 @@ impl KnownParts {
             .collect();
         let mut triangles = vec![Vec::new(); known.len()];
         if known.contains(&None) {
-            // By `chart_of_triangle`, which is what the exports go by.
-            let charts = &textured.layout().chart_of_triangle;
-            for (triangle, chart) in textured.mesh().triangle_ids().zip(charts) {
-                if known[chart.index()].is_none() {
-                    triangles[chart.index()].push(triangle);
-                }
-            }
+            let is_unknown = |chart: usize| known[chart].is_none();
+            content.for_each_triangle(is_unknown, |chart, triangle| {
+                triangles[chart].push(triangle)
+            });
         }
         let charts = textured.layout().charts.par_iter();
         let built: Vec<Vec<(Digest, Option<TexturedChart>)>> = charts
