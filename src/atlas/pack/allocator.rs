@@ -384,6 +384,8 @@ struct Page {
     squares: Vec<Vec<u64>>,
     /// `longest_bar[k]` has for each row its longest stretch of bits in `squares[k]` that are not set.
     longest_bar: Vec<Vec<u32>>,
+    /// The longest of `longest_free`, and of each of `longest_bar`: most pages are passed over for these.
+    longest_of_page: (u32, Vec<u32>),
 }
 
 impl Page {
@@ -402,11 +404,13 @@ impl Page {
             longest_free: vec![width; height as usize],
             squares: vec![vec![u64::MAX; stride * height as usize]; SQUARE_SIDES.len() - 1],
             longest_bar: vec![vec![0; height as usize]; SQUARE_SIDES.len() - 1],
+            longest_of_page: (0, Vec::new()),
         };
         for y in 0..height as usize {
             page.refresh_row(y);
         }
         page.refresh_squares(0, height as usize);
+        page.refresh_longest();
         page
     }
 
@@ -451,8 +455,26 @@ impl Page {
         }
     }
 
+    /// What follows for the page from its rows.
+    fn refresh_longest(&mut self) {
+        let longest = |of_rows: &Vec<u32>| of_rows.iter().copied().max().unwrap_or(0);
+        let bars = self.longest_bar.iter().map(longest).collect();
+        self.longest_of_page = (longest(&self.longest_free), bars);
+    }
+
+    /// Whether some row has a free stretch, and some each of the bars, as long as a shape's.
+    fn may_hold(&self, shape: &TurnedShape) -> bool {
+        let (longest_free, longest_bar) = &self.longest_of_page;
+        let longest = shape.runs.first().map_or(0, |run| run.len);
+        let mut bars = shape.bars.iter();
+        longest <= *longest_free && bars.all(|bar| bar.num_squares() <= longest_bar[bar.side - 1])
+    }
+
     /// The highest, then leftmost place of a shape whose rectangle ends by row `max_bottom`.
     fn highest_fit(&self, shape: &TurnedShape, max_bottom: u32) -> Option<[u32; 2]> {
+        if !self.may_hold(shape) {
+            return None;
+        }
         let [width, height] = shape.mask.size();
         let last_row = self.size[1].min(max_bottom).checked_sub(height)?;
         let last_column = self.size[0].checked_sub(width)?;
@@ -520,6 +542,7 @@ impl Page {
             self.refresh_row(y);
         }
         self.refresh_squares(cell[1] as usize, (cell[1] + height) as usize);
+        self.refresh_longest();
     }
 
     fn num_free_cells(&self) -> usize {
