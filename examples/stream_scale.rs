@@ -6,8 +6,9 @@
 //! ```
 //!
 //! All updates bring about as many triangles and keyframes; what was there before grows. A row has the
-//! triangles and keyframes of all rooms so far, the wall times of this room's updates in milliseconds and
-//! of making the messages for `textured_mesh` and for `markers` of them, and the bytes that the state takes.
+//! triangles and keyframes of all rooms so far, the wall times of this room's updates in milliseconds, of
+//! their stages together, and of making the messages for `textured_mesh` and for `markers` of them, and the
+//! bytes that the state takes.
 
 #![expect(
     clippy::print_stdout,
@@ -26,21 +27,13 @@ use veneer::config::Config;
 use veneer::geom::{RigidTransform, Stamp};
 use veneer::keyframe::{Keyframe, KeyframeId};
 use veneer::mesh::TriMesh;
-use veneer::pipeline::{NoProgress, Scan, StageClock, gather};
+use veneer::pipeline::{NoProgress, Scan, StageClock, StageTime, gather};
 use veneer::publish::{OutputTopic, PublishParams, Publisher, Snapshot};
 use veneer::texinit::stream::StreamInit;
-use veneer::texinit::{Observer, Stage};
 
 const USAGE: &str = "stream_scale BAG NUM_ROOMS [UPDATES_PER_ROOM] [PARAMETER:=VALUE …]";
 /// Room between the rooms, metres.
 const GAP_M: f64 = 1.0;
-
-struct Silent;
-
-impl Observer for Silent {
-    fn begin(&self, _stage: Stage, _num_steps: usize) {}
-    fn advance(&self, _num_steps: usize) {}
-}
 
 fn main() -> anyhow::Result<()> {
     let mut args = std::env::args().skip(1);
@@ -77,12 +70,14 @@ fn main() -> anyhow::Result<()> {
     let mut revision = 0;
     for room in 0..num_rooms {
         let [mut times_ms, mut blocks_ms, mut markers_ms] = [const { Vec::new() }; 3];
+        let clock = StageClock::new(&NoProgress);
         for _ in 0..num_updates {
             rooms.go_on()?;
             let mesh = Arc::new(rooms.mesh()?);
             times_ms.push(timed_ms(|| {
-                state.update(&mesh, &rooms.keyframes, &decode, &Silent)
+                state.update(&mesh, &rooms.keyframes, &decode, &clock)
             })?);
+            clock.begin("messages, and the next mesh", 0);
             revision += 1;
             let chart_keys = state.chart_keys();
             let snapshot = Snapshot {
@@ -107,6 +102,7 @@ fn main() -> anyhow::Result<()> {
             "triangles": state.mesh().num_triangles(),
             "keyframes": rooms.keyframes.len(),
             "updates_ms": times_ms,
+            "stages_ms": stages_ms(&clock.finish()),
             "textured_mesh_ms": blocks_ms,
             "markers_ms": markers_ms,
             "charts": state.layout().charts.len(),
@@ -117,6 +113,18 @@ fn main() -> anyhow::Result<()> {
         println!("{row}");
     }
     Ok(())
+}
+
+/// Milliseconds to a tenth, by name.
+fn stages_ms(stages: &[StageTime]) -> serde_json::Value {
+    let mut all_ms = std::collections::BTreeMap::new();
+    for stage in stages {
+        *all_ms.entry(stage.name).or_insert(0.0) += 1e3 * stage.seconds;
+    }
+    let rounded = all_ms
+        .into_iter()
+        .map(|(name, ms)| (name.to_owned(), json!((10.0 * ms).round() / 10.0)));
+    rounded.collect::<serde_json::Map<_, _>>().into()
 }
 
 /// Runs something; how long it took, milliseconds to a tenth.

@@ -159,7 +159,7 @@ pub const PARAMETERS: &[Parameter] = &[
         Float32(|c| &mut c.pipeline.texinit.assign.grazing_penalty, 0.0, 100.0)),
     row("texinit.resolution_weight", "", "Per doubling of the pixels per metre.",
         Float32(|c| &mut c.pipeline.texinit.assign.resolution_weight, 0.0, 100.0)),
-    row("texinit.sharpness_weight", "", "Taken off per halving of the sharpness against the median frame.",
+    row("texinit.sharpness_weight", "", "Taken off per halving of the sharpness against the median frame, of those that see the chart where charts are labelled one by one.",
         Float32(|c| &mut c.pipeline.texinit.assign.sharpness_weight, 0.0, 100.0)),
     row("texinit.exposure_weight", "", "Taken off per unit of mean luma away from the median frame.",
         Float32(|c| &mut c.pipeline.texinit.assign.exposure_weight, 0.0, 100.0)),

@@ -17,6 +17,8 @@ use super::window::PixelWindow;
 
 /// Triangles that share a box.
 const RUN_SIZE: usize = 64;
+/// Runs whose boxes are looked at together.
+const GROUP_SIZE: usize = 64;
 /// Vertices that are wanted together.
 const BLOCK_SIZE: u32 = 64;
 /// The view is taken to reach this far past the image, pixels.
@@ -47,6 +49,11 @@ impl BoundingBox {
             center: nalgebra::center(&min, &max),
             half_size: (max - min) / 2.0,
         }
+    }
+
+    /// The box around some boxes.
+    pub(crate) fn around_all<'a>(boxes: impl IntoIterator<Item = &'a Self>) -> Self {
+        Self::around(boxes.into_iter().flat_map(Self::corners_m))
     }
 
     /// Whether the two may have a point in common; somewhat widened, so that rounding cannot part them. A box
@@ -232,6 +239,8 @@ pub struct MeshRuns {
     num_triangles: usize,
     num_vertices: usize,
     bounds: Vec<BoundingBox>,
+    /// Around [`GROUP_SIZE`] runs each, so that most of a large mesh is left out at once.
+    group_bounds: Vec<BoundingBox>,
     /// Per run: its first block of vertices in `blocks`.
     first_block: Vec<usize>,
     blocks: Vec<u32>,
@@ -244,6 +253,7 @@ impl MeshRuns {
             num_triangles: 0,
             num_vertices: 0,
             bounds: vec![],
+            group_bounds: vec![],
             first_block: vec![0],
             blocks: vec![],
         };
@@ -275,6 +285,24 @@ impl MeshRuns {
             self.blocks.extend(blocks);
             self.first_block.push(self.blocks.len());
         }
+        let num_groups = num_runs / GROUP_SIZE;
+        self.group_bounds.truncate(num_groups);
+        let groups = self.bounds[num_groups * GROUP_SIZE..].chunks(GROUP_SIZE);
+        self.group_bounds
+            .extend(groups.map(BoundingBox::around_all));
+    }
+
+    /// The runs whose boxes a view reaches into, ascending.
+    fn within<'a>(
+        &'a self,
+        frustum: &'a Frustum,
+    ) -> impl Iterator<Item = (usize, &'a BoundingBox)> + 'a {
+        let groups = self.bounds.chunks(GROUP_SIZE).zip(&self.group_bounds);
+        let seen = groups
+            .enumerate()
+            .filter(|(_, (_, bounds))| frustum.may_see(bounds));
+        let runs = seen.flat_map(|(group, (runs, _))| (group * GROUP_SIZE..).zip(runs));
+        runs.filter(|(_, bounds)| frustum.may_see(bounds))
     }
 
     /// What the camera may see up to a depth of `far_m` metres: every triangle that is drawn, or lies
@@ -298,10 +326,7 @@ impl MeshRuns {
         let mut by_depth = vec![];
         let block_size = BLOCK_SIZE as usize;
         let mut is_wanted = vec![false; self.num_vertices.div_ceil(block_size)];
-        for (run, bounds) in self.bounds.iter().enumerate() {
-            if !frustum.may_see(bounds) {
-                continue;
-            }
+        for (run, bounds) in self.within(frustum) {
             let start = run * RUN_SIZE;
             let end = (start + RUN_SIZE).min(self.num_triangles);
             let triangles = start as u32..end as u32;

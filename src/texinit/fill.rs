@@ -21,7 +21,6 @@ use crate::atlas::{
 use crate::geom::color::{linear_from_srgb, srgb_from_linear};
 use crate::mesh::weld::equal_representatives;
 use crate::mesh::{TriMesh, TriangleId};
-use crate::texinit::flatten::cut::find;
 
 /// How unseen texels are filled.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -96,57 +95,99 @@ pub fn fill_unseen(
     params: &FillParams,
 ) -> Result<FillReport, FillError> {
     check(mesh, layout, texture, params)?;
-    let coverage = coverage(layout, texture, mesh.num_triangles());
-    if coverage.iter().all(|triangle| triangle.num_unpainted == 0) {
-        return Ok(FillReport::of(&coverage));
+    let by_chart = coverage(layout, texture);
+    let (mut wanted, mut report) = (Vec::new(), FillReport::default());
+    for (chart, coverage) in by_chart.iter().enumerate() {
+        report.add_painted(coverage);
+        let of_mesh = layout.charts[chart]
+            .triangles
+            .iter()
+            .map(|t| t.index() < mesh.num_triangles());
+        let incomplete = (0_u32..).zip(coverage).zip(of_mesh);
+        let incomplete = incomplete.filter(|((_, c), is_of_mesh)| *is_of_mesh && !c.is_complete());
+        let numbers = incomplete.map(|((number, _), _)| number).collect();
+        wanted.push(ChartPart { chart, numbers });
     }
-    let is_wanted: Vec<bool> = coverage.iter().map(|c| !c.is_complete()).collect();
+    let is_unpainted = |coverage: &Coverage| coverage.num_unpainted > 0;
+    if !by_chart.iter().flatten().any(is_unpainted) {
+        return Ok(report);
+    }
     let surface = Surface {
         mesh,
-        representative: &equal_representatives(mesh.positions_m()),
+        representative: Some(&equal_representatives(mesh.positions_m())),
     };
+    let coverage: Vec<&[Coverage]> = by_chart.iter().map(Vec::as_slice).collect();
     let part = FillPart {
         coverage: &coverage,
-        is_wanted: &is_wanted,
-        is_stale: &vec![true; coverage.len()],
+        wanted: &wanted,
+        lenders: &(0..layout.charts.len()).collect::<Vec<_>>(),
+        is_stale: &|_| true,
     };
     let lent = &mut LentColours::default();
-    let (mut report, _) = fill_triangles(&surface, layout, texture, &part, lent, params);
-    let FillReport {
-        num_painted_texels,
-        num_unpainted_triangles,
-        ..
-    } = FillReport::of(&coverage);
-    report.num_painted_texels = num_painted_texels;
-    report.num_unpainted_triangles = num_unpainted_triangles;
-    Ok(report)
+    let (filled, _) = fill_triangles(&surface, layout, texture, &part, lent, params);
+    Ok(FillReport {
+        num_painted_texels: report.num_painted_texels,
+        num_unpainted_triangles: report.num_unpainted_triangles,
+        ..filled
+    })
 }
 
 impl FillReport {
-    /// What is there before anything is filled.
-    fn of(coverage: &[Coverage]) -> Self {
+    /// Counts what is there of a chart before anything is filled.
+    fn add_painted(&mut self, coverage: &[Coverage]) {
         let is_unpainted = |c: &&Coverage| c.num_painted == 0 && c.num_unpainted > 0;
-        Self {
-            num_painted_texels: coverage.iter().map(|c| c.num_painted as usize).sum(),
-            num_unpainted_triangles: coverage.iter().filter(is_unpainted).count(),
-            ..Self::default()
-        }
+        let num_painted = coverage.iter().map(|c| c.num_painted as usize);
+        self.num_painted_texels += num_painted.sum::<usize>();
+        self.num_unpainted_triangles += coverage.iter().filter(is_unpainted).count();
     }
 }
 
 /// A mesh, and for each of its vertices the one that stands for its position.
 pub(crate) struct Surface<'a> {
     pub(crate) mesh: &'a TriMesh,
-    pub(crate) representative: &'a [u32],
+    /// `None` where each stands for itself.
+    pub(crate) representative: Option<&'a [u32]>,
 }
 
-/// What is filled; all by triangle.
+impl Surface<'_> {
+    /// The vertices that stand for a triangle's corners.
+    fn corners(&self, triangle: TriangleId) -> [u32; 3] {
+        let corners = self.mesh.triangles()[triangle.index()];
+        match self.representative {
+            Some(representative) => corners.map(|vertex| representative[vertex as usize]),
+            None => corners,
+        }
+    }
+}
+
+/// Some triangles of a chart.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct ChartPart {
+    /// Which of the layout's charts.
+    pub(crate) chart: usize,
+    /// Their numbers in the chart, ascending.
+    pub(crate) numbers: Vec<u32>,
+}
+
+impl ChartPart {
+    fn triangles<'a>(&'a self, layout: &'a AtlasLayout) -> impl Iterator<Item = TriangleId> + 'a {
+        let placed = &layout.charts[self.chart].triangles;
+        self.numbers.iter().map(|&number| placed[number as usize])
+    }
+}
+
+/// What is filled.
 pub(crate) struct FillPart<'a> {
-    pub(crate) coverage: &'a [Coverage],
-    /// All, or whole regions ([`regions_at`]) of those that are not completely painted.
-    pub(crate) is_wanted: &'a [bool],
-    /// Those whose unpainted texels may show something else than what their corners lent them last.
-    pub(crate) is_stale: &'a [bool],
+    /// By chart, of each of its triangles.
+    pub(crate) coverage: &'a [&'a [Coverage]],
+    /// All triangles that are not completely painted, or whole regions of them: two are in one region where
+    /// they share a vertex. Ascending by chart.
+    pub(crate) wanted: &'a [ChartPart],
+    /// All charts with painted texels at vertices of those, ascending; others may be among them.
+    pub(crate) lenders: &'a [usize],
+    /// Of those wanted, the ones whose unpainted texels may show something else than what their corners lent
+    /// them last.
+    pub(crate) is_stale: &'a (dyn Fn(TriangleId) -> bool + Sync),
 }
 
 /// The colours that vertices lent to the triangles that were filled at them last, by number in the mesh.
@@ -154,7 +195,15 @@ pub(crate) struct FillPart<'a> {
 /// A triangle's texels depend on the three of its corners, in bytes, and on nothing else: where these
 /// are those of the last time nothing is written.
 #[derive(Debug, Default)]
-pub(crate) struct LentColours(Vec<Option<Lent>>);
+pub(crate) struct LentColours {
+    of_vertex: Vec<Option<Lent>>,
+    /// As long as the mesh has vertices, for finding those of a part; kept, as parts are small beside it.
+    scratch: diffusion::VertexNumbers,
+}
+
+/// Steps in which bytes are lent far from what is painted: there each texel that is painted moves all colours by
+/// a little, and all would have to be written and published anew for it.
+const FAR_STEP: u8 = 4;
 
 /// A vertex's colour.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -166,37 +215,39 @@ enum Lent {
 
 impl Lent {
     #[expect(clippy::cast_possible_truncation, reason = "rounding to f32 is meant")]
-    fn of(linear: Option<[f64; 3]>) -> Self {
-        linear.map_or(Self::Neutral, |linear| {
-            Self::Srgb(linear.map(|channel| srgb_from_linear(channel as f32)))
-        })
+    fn of(linear: Option<[f64; 3]>, is_far: bool) -> Self {
+        let step = if is_far { FAR_STEP } else { 1 };
+        let byte = |channel: f64| {
+            let byte = srgb_from_linear(channel as f32);
+            (byte / step * step).saturating_add(step / 2)
+        };
+        linear.map_or(Self::Neutral, |linear| Self::Srgb(linear.map(byte)))
     }
 }
 
 impl LentColours {
     /// Vertices have other numbers.
     pub(crate) fn forget(&mut self) {
-        self.0.clear();
+        self.of_vertex.clear();
     }
 
-    /// Takes the colours of the vertices; per vertex of the mesh, of `num_vertices`, whether it has another.
+    /// Takes the colours of the vertices of a part; per vertex of it, whether it has another.
     fn renew(
         &mut self,
         vertices: &diffusion::SurfaceVertices<'_>,
         now: &[Lent],
         num_vertices: usize,
     ) -> Vec<bool> {
-        let mut is_other = vec![false; num_vertices];
-        self.0.resize(num_vertices, None);
-        for (vertex, &lent) in vertices.of_mesh().iter().zip(now) {
-            let vertex = *vertex as usize;
-            is_other[vertex] = self.0[vertex].replace(lent) != Some(lent);
-        }
-        is_other
+        self.of_vertex.resize(num_vertices, None);
+        let renewed = vertices.of_mesh().iter().zip(now).map(|(vertex, &lent)| {
+            let before = self.of_vertex[*vertex as usize].replace(lent);
+            before != Some(lent)
+        });
+        renewed.collect()
     }
 }
 
-/// Fills the wanted triangles; per triangle whether it got other texels.
+/// Fills the wanted triangles; also returns the charts that got other texels, ascending.
 pub(crate) fn fill_triangles(
     surface: &Surface<'_>,
     layout: &AtlasLayout,
@@ -204,66 +255,29 @@ pub(crate) fn fill_triangles(
     part: &FillPart<'_>,
     lent: &mut LentColours,
     params: &FillParams,
-) -> (FillReport, Vec<bool>) {
+) -> (FillReport, Vec<usize>) {
     let mut report = FillReport::default();
-    let mut colours = VertexColours::of_wanted(surface, part.is_wanted);
-    colours.add_painted(layout, texture, part.coverage);
-    let solved = diffusion::diffuse(surface.mesh, &colours.vertices, colours.means(), params);
+    let numbers = std::mem::take(&mut lent.scratch);
+    let mut colours = VertexColours::of_wanted(surface, layout, part.wanted, numbers);
+    colours.add_painted(layout, texture, part);
+    let solved = diffusion::diffuse(surface, &colours.vertices, colours.means(), params);
     report.num_diffused_vertices = solved.num_diffused;
     report.num_sweeps = solved.num_sweeps;
-    let now: Vec<Lent> = solved.linear.into_iter().map(Lent::of).collect();
+    let colours_now = solved.linear.into_iter().zip(solved.is_far);
+    let now: Vec<Lent> = colours_now
+        .map(|(linear, is_far)| Lent::of(linear, is_far))
+        .collect();
     let is_other = lent.renew(&colours.vertices, &now, surface.mesh.num_vertices());
-    let wanted = part.is_wanted.par_iter().zip(part.coverage).enumerate();
-    let is_written = wanted.map(|(triangle, (is_wanted, coverage))| {
-        let is_other = |corner: &u32| is_other[surface.representative[*corner as usize] as usize];
-        let mut corners = surface.mesh.triangles()[triangle].iter();
-        let has_to_be_filled = *is_wanted && coverage.num_unpainted > 0;
-        has_to_be_filled && (part.is_stale[triangle] || corners.any(is_other))
-    });
-    let is_written: Vec<bool> = is_written.collect();
     let filling = Filling {
         layout,
-        is_written: &is_written,
         colours: &colours,
         lent: &now,
         neutral_srgb: params.neutral_srgb,
     };
-    filling.paint(texture, &mut report);
-    (report, is_written)
-}
-
-/// Which triangles are in a region with one of the given vertices: triangles that are not
-/// completely painted are in one region where they share a vertex.
-pub(crate) fn regions_at(
-    surface: &Surface<'_>,
-    coverage: &[Coverage],
-    is_seed: &[bool],
-) -> Vec<bool> {
-    let corners_of = |triangle: usize| {
-        let corners = surface.mesh.triangles()[triangle];
-        corners.map(|corner| surface.representative[corner as usize])
-    };
-    let open: Vec<usize> = (0..coverage.len())
-        .filter(|&triangle| !coverage[triangle].is_complete())
-        .collect();
-    let mut set: Vec<u32> = (0_u32..).take(surface.mesh.num_vertices()).collect();
-    for &triangle in &open {
-        let [a, b, c] = corners_of(triangle);
-        for (one, other) in [(a, b), (b, c)] {
-            let (one, other) = (find(&mut set, one), find(&mut set, other));
-            set[one.max(other) as usize] = one.min(other);
-        }
-    }
-    let mut is_wanted_set = vec![false; surface.mesh.num_vertices()];
-    for (vertex, _) in (0_u32..).zip(is_seed).filter(|(_, is_seed)| **is_seed) {
-        let representative = surface.representative[vertex as usize];
-        is_wanted_set[find(&mut set, representative) as usize] = true;
-    }
-    let mut is_wanted = vec![false; coverage.len()];
-    for triangle in open {
-        is_wanted[triangle] = is_wanted_set[find(&mut set, corners_of(triangle)[0]) as usize];
-    }
-    is_wanted
+    let written = filling.written(part, &is_other);
+    filling.paint(&written, texture, &mut report);
+    lent.scratch = colours.vertices.into_numbers();
+    (report, written.iter().map(|part| part.chart).collect())
 }
 
 fn check(
@@ -316,7 +330,7 @@ impl Coverage {
         }
     }
 
-    fn is_complete(self) -> bool {
+    pub(crate) fn is_complete(self) -> bool {
         self.num_unpainted == 0 && self.num_painted > 0
     }
 }
@@ -344,27 +358,20 @@ fn for_each_index(
     }
 }
 
-fn coverage(layout: &AtlasLayout, texture: &AtlasTexture, num_triangles: usize) -> Vec<Coverage> {
+/// By chart, of each of its triangles.
+fn coverage(layout: &AtlasLayout, texture: &AtlasTexture) -> Vec<Vec<Coverage>> {
     let of_chart = |chart: &PlacedChart| -> Vec<Coverage> {
-        let Some(page) = texture.pages.get(chart.page as usize) else {
-            return Vec::new();
-        };
+        let page = texture.pages.get(chart.page as usize);
         let of_triangle = |triangle: &TriangleId| {
             let corners = layout.corners_texel.get(triangle.index());
-            corners.map_or_else(Coverage::default, |corners| Coverage::of(corners, page))
+            let known = corners.zip(page);
+            known.map_or_else(Coverage::default, |(corners, page)| {
+                Coverage::of(corners, page)
+            })
         };
         chart.triangles.iter().map(of_triangle).collect()
     };
-    let by_chart: Vec<Vec<Coverage>> = layout.charts.par_iter().map(of_chart).collect();
-    let mut coverage = vec![Coverage::default(); num_triangles];
-    for (chart, of_triangles) in layout.charts.iter().zip(by_chart) {
-        for (triangle, found) in chart.triangles.iter().zip(of_triangles) {
-            if let Some(slot) = coverage.get_mut(triangle.index()) {
-                *slot = found;
-            }
-        }
-    }
-    coverage
+    layout.charts.par_iter().map(of_chart).collect()
 }
 
 /// Vertices of triangles that are not completely painted, by position.
@@ -375,9 +382,14 @@ struct VertexColours<'a> {
 }
 
 impl<'a> VertexColours<'a> {
-    fn of_wanted(surface: &Surface<'a>, is_wanted: &[bool]) -> Self {
-        let vertices =
-            diffusion::SurfaceVertices::of(surface.mesh, surface.representative, is_wanted);
+    fn of_wanted(
+        surface: &'a Surface<'a>,
+        layout: &AtlasLayout,
+        wanted: &[ChartPart],
+        numbers: diffusion::VertexNumbers,
+    ) -> Self {
+        let wanted = wanted.iter().flat_map(|part| part.triangles(layout));
+        let vertices = diffusion::SurfaceVertices::of(surface, wanted.collect(), numbers);
         Self {
             sums: vec![[0.0; 4]; vertices.len()],
             vertices,
@@ -385,23 +397,17 @@ impl<'a> VertexColours<'a> {
     }
 
     /// Adds the painted texels around each vertex, weighted by the square of their barycentric.
-    fn add_painted(&mut self, layout: &AtlasLayout, texture: &AtlasTexture, coverage: &[Coverage]) {
-        let touches = |triangle: &TriangleId| {
-            let is_painted = coverage
-                .get(triangle.index())
-                .is_some_and(|c| c.num_painted > 0);
-            is_painted
-                && self
-                    .vertices
-                    .of_triangle(*triangle)
-                    .iter()
-                    .any(Option::is_some)
+    fn add_painted(&mut self, layout: &AtlasLayout, texture: &AtlasTexture, part: &FillPart<'_>) {
+        let touches = |triangle: TriangleId| {
+            let corners = self.vertices.of_triangle(triangle);
+            corners.iter().any(Option::is_some)
         };
-        let of_chart = |chart: &PlacedChart| -> Vec<(TriangleId, [[f64; 4]; 3])> {
-            let Some(page) = texture.pages.get(chart.page as usize) else {
+        let of_chart = |chart: &usize| -> Vec<(TriangleId, [[f64; 4]; 3])> {
+            let (placed, coverage) = (&layout.charts[*chart], part.coverage[*chart]);
+            let Some(page) = texture.pages.get(placed.page as usize) else {
                 return Vec::new();
             };
-            let sums_of = |&triangle: &TriangleId| {
+            let sums_of = |triangle: TriangleId| {
                 let mut sums = [[0.0; 4]; 3];
                 for_each_index(layout, triangle, |index, barycentric| {
                     if is_painted(page.source[index]) {
@@ -415,10 +421,14 @@ impl<'a> VertexColours<'a> {
                 });
                 (triangle, sums)
             };
-            let touching = chart.triangles.iter().filter(|t| touches(t));
+            let painted = placed.triangles.iter().zip(coverage);
+            let painted = painted.filter(|(_, coverage)| coverage.num_painted > 0);
+            let touching = painted
+                .map(|(triangle, _)| *triangle)
+                .filter(|t| touches(*t));
             touching.map(sums_of).collect()
         };
-        let by_chart: Vec<_> = layout.charts.par_iter().map(of_chart).collect();
+        let by_chart: Vec<_> = part.lenders.par_iter().map(of_chart).collect();
         for (triangle, sums) in by_chart.into_iter().flatten() {
             for (vertex, sum) in self.vertices.of_triangle(triangle).into_iter().zip(sums) {
                 if let Some(vertex) = vertex {
@@ -470,7 +480,6 @@ const BAND_ROWS: usize = 128;
 /// What filling reads.
 struct Filling<'a> {
     layout: &'a AtlasLayout,
-    is_written: &'a [bool],
     colours: &'a VertexColours<'a>,
     /// Per vertex.
     lent: &'a [Lent],
@@ -478,13 +487,36 @@ struct Filling<'a> {
 }
 
 impl Filling<'_> {
-    fn paint(&self, texture: &mut AtlasTexture, report: &mut FillReport) {
-        let is_written = |chart: &&PlacedChart| chart.triangles.iter().any(|t| self.is_written(*t));
-        let charts: Vec<&PlacedChart> = self.layout.charts.iter().filter(is_written).collect();
-        for batch in charts.chunks(CHARTS_PER_BATCH) {
+    /// Those of the wanted triangles that get other texels; `is_other` by vertex of the part. Charts without any
+    /// are left out.
+    fn written(&self, part: &FillPart<'_>, is_other: &[bool]) -> Vec<ChartPart> {
+        let of_chart = |wanted: &ChartPart| {
+            let (placed, coverage) = (
+                &self.layout.charts[wanted.chart],
+                part.coverage[wanted.chart],
+            );
+            let is_written = |number: &&u32| {
+                let triangle = placed.triangles[**number as usize];
+                let corners = self.colours.vertices.of_triangle(triangle);
+                let mut lent = corners.into_iter().flatten();
+                coverage[**number as usize].num_unpainted > 0
+                    && ((part.is_stale)(triangle) || lent.any(|vertex| is_other[vertex]))
+            };
+            ChartPart {
+                chart: wanted.chart,
+                numbers: wanted.numbers.iter().filter(is_written).copied().collect(),
+            }
+        };
+        let mut written: Vec<ChartPart> = part.wanted.par_iter().map(of_chart).collect();
+        written.retain(|part| !part.numbers.is_empty());
+        written
+    }
+
+    fn paint(&self, written: &[ChartPart], texture: &mut AtlasTexture, report: &mut FillReport) {
+        for batch in written.chunks(CHARTS_PER_BATCH) {
             let by_chart: Vec<FilledChart> = batch
                 .par_iter()
-                .map(|chart| self.fill_chart(chart, texture))
+                .map(|part| self.fill_chart(part, texture))
                 .collect();
             for filled in &by_chart {
                 report.num_neutral_texels += filled.num_neutral;
@@ -493,7 +525,8 @@ impl Filling<'_> {
             let pages = texture.pages.par_iter_mut();
             pages.enumerate().for_each(|(number, page)| {
                 let on_page = batch.iter().zip(&by_chart);
-                let on_page = on_page.filter(|(chart, _)| chart.page as usize == number);
+                let on_page =
+                    on_page.filter(|(part, _)| self.chart_of(part).page as usize == number);
                 let on_page: Vec<&FilledChart> = on_page.map(|(_, filled)| filled).collect();
                 if on_page.iter().any(|filled| !filled.texels.is_empty()) {
                     write(&on_page, page.to_mut());
@@ -502,17 +535,16 @@ impl Filling<'_> {
         }
     }
 
-    fn is_written(&self, triangle: TriangleId) -> bool {
-        self.is_written.get(triangle.index()) == Some(&true)
+    fn chart_of(&self, part: &ChartPart) -> &PlacedChart {
+        &self.layout.charts[part.chart]
     }
 
-    fn fill_chart(&self, chart: &PlacedChart, texture: &AtlasTexture) -> FilledChart {
+    fn fill_chart(&self, part: &ChartPart, texture: &AtlasTexture) -> FilledChart {
         let mut filled = FilledChart::default();
-        let Some(page) = texture.pages.get(chart.page as usize) else {
+        let Some(page) = texture.pages.get(self.chart_of(part).page as usize) else {
             return filled;
         };
-        let written = |triangle: &&TriangleId| self.is_written(**triangle);
-        for &triangle in chart.triangles.iter().filter(written) {
+        for triangle in part.triangles(self.layout) {
             let corners = self
                 .colours
                 .vertices

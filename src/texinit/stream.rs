@@ -25,7 +25,7 @@
 //! The mesh is that of the caller with its vertices on a fine grid ([`DiffParams::quantum_m`]) and its
 //! triangles in the order of the charts. The density is fixed when the first triangle is seen, in
 //! steps of a quarter octave; it falls only when the scan outgrows the budget of texels: then all
-//! charts are made anew.
+//! charts are laid and painted anew, with the scores and labels that they have.
 //!
 //! Memory, [`StreamInit::num_bytes`]: 8 bytes per texel of the pages, 16 per triangle and keyframe that
 //! may paint it, 16 per texel that shows a mean, 8 per texel of a gutter, some 400 per triangle, 20 kB per
@@ -41,6 +41,7 @@ mod placing;
 mod repaint;
 mod scores;
 mod surface;
+mod unseen;
 mod view;
 mod views;
 mod workspaces;
@@ -53,7 +54,6 @@ use crate::mesh::{DiffCounts, DiffError, DiffParams, TrackedMesh, TriMesh, Trian
 use crate::render::{MeshRuns, VisibilityParams};
 
 use super::assign::cues::FrameWorkspace;
-use super::assign::quality::TypicalQuality;
 use super::assign::{AssignError, Assignment, ColorCue, FailedFrame, chart_table};
 use super::density::SizeRule;
 use super::fill::LentColours;
@@ -63,6 +63,7 @@ use super::{Coupling, Decode, Observer, Stage, TexInitParams};
 use budget::Held;
 use charts::StreamChart;
 use keyframes::KnownFrames;
+use unseen::JoinedVertices;
 use views::{Drawing, KeptViews};
 use workspaces::Workspaces;
 
@@ -192,6 +193,8 @@ pub struct StreamInit {
     num_renumberings: usize,
     /// What unseen regions were filled with.
     lent: LentColours,
+    /// Of those who look for unseen regions.
+    joined_vertices: JoinedVertices,
     layout: Arc<AtlasLayout>,
     texture: AtlasTexture,
     /// Ascending by id, in the order of the layout.
@@ -203,7 +206,6 @@ pub struct StreamInit {
     has_density: bool,
     frames: KnownFrames,
     held: Held,
-    typical: TypicalQuality,
     views: KeptViews,
     /// Of these, at most.
     max_view_bytes: usize,
@@ -234,6 +236,7 @@ impl StreamInit {
             runs: MeshRuns::new(&mesh),
             num_renumberings: 0,
             lent: LentColours::default(),
+            joined_vertices: JoinedVertices::default(),
             layout: Arc::new(charts::empty_layout()),
             tracked: TrackedMesh::new(&stream.diff)?,
             mesh: Arc::new(mesh),
@@ -244,7 +247,6 @@ impl StreamInit {
             has_density: false,
             frames: KnownFrames::default(),
             held: Held::default(),
-            typical: TypicalQuality::default(),
             views: KeptViews::default(),
             max_view_bytes: whole_bytes(stream.view_cache_mb),
             workspaces: Workspaces::default(),
@@ -403,7 +405,6 @@ impl StreamInit {
         self.has_density = false;
         self.frames = KnownFrames::default();
         self.held = Held::default();
-        self.typical = TypicalQuality::default();
         self.views = KeptViews::default();
         self.lent.forget();
     }

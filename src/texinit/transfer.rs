@@ -137,7 +137,7 @@ pub(crate) fn transfer_poses(
         runs: &MeshRuns::new(mesh),
         layout,
         params,
-        is_partly_hidden: &assignment.is_partly_hidden,
+        is_partly_hidden: &|triangle| assignment.is_partly_hidden[triangle.index()],
     };
     let job = PaintJob {
         by_frame,

@@ -2,9 +2,11 @@
 //! nothing else of the mesh but what hides them.
 //!
 //! Differs from labels of the whole mesh in that adjacent triangles of different charts earn no
-//! reward for equal frames, and in that sharpness and exposure are held against a typical frame in
-//! steps ([`TypicalQuality::in_steps`]). Then a change of the mesh or of the frames changes the labels
-//! of charts that it touches, and of no others.
+//! reward for equal frames, and in that sharpness and exposure are held against the typical frame of
+//! those that see the chart, in steps ([`TypicalQuality::in_steps`]). Then a change of the mesh or of the
+//! frames changes the labels of charts that it touches, and of no others.
+//!
+//! [`TypicalQuality::in_steps`]: super::quality::TypicalQuality::in_steps
 
 use std::collections::BTreeMap;
 
@@ -17,7 +19,6 @@ use crate::mesh::{TriMesh, TriangleId};
 use super::adjacency::adjacent_pairs;
 use super::cues::FrameCandidates;
 use super::label::{CandidateTable, count_seams};
-use super::quality::TypicalQuality;
 use super::{AssignParams, AssignReport, Assignment, FailedFrame, ScoredFrames};
 
 /// A chart of the mesh as a mesh of its own, triangles in the chart's order.
@@ -86,8 +87,6 @@ impl ScoredFrames {
         layout: &AtlasLayout,
         params: &AssignParams,
     ) -> Assignment {
-        let qualities = self.columns.iter().map(|(_, quality, _)| quality);
-        let typical = TypicalQuality::of(qualities).in_steps();
         let triangles = || layout.charts.iter().map(|chart| &*chart.triangles);
         let places = places(mesh.num_triangles(), triangles());
         let num_frames = self.columns.len();
@@ -105,6 +104,7 @@ impl ScoredFrames {
                 let own = chart_mesh(mesh, &chart.triangles);
                 let mut table = CandidateTable::new(own.num_triangles(), own.num_vertices());
                 table.add_all(columns);
+                let typical = table.typical_quality().in_steps();
                 table.assign(&own, params, typical)
             })
             .collect();

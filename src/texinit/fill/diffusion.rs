@@ -10,14 +10,14 @@
 
 use rayon::prelude::*;
 
-use super::FillParams;
+use super::{FillParams, Surface};
 use crate::mesh::{TriMesh, TriangleId};
 
 /// Change of a linear colour in one sweep below which sweeping stops: under a tenth of a byte.
 const CONVERGED: f32 = 2e-4;
 
 /// Rings from the given colours on that are swept until they have converged.
-const NEAR_RINGS: usize = 24;
+const NEAR_RINGS: usize = 12;
 /// Sweeps of all rings before that.
 const FAR_SWEEPS: usize = 12;
 
@@ -26,12 +26,14 @@ const MIN_EDGE_M: f64 = 1e-6;
 
 const ABSENT: u32 = u32::MAX;
 
+/// Numbers of vertices of a mesh in a part of it; those of all others are [`ABSENT`].
+#[derive(Debug, Default)]
+pub(super) struct VertexNumbers(Vec<u32>);
+
 /// Vertices of a part of the surface; those of equal position are one.
 pub(super) struct SurfaceVertices<'a> {
-    mesh: &'a TriMesh,
-    representative: &'a [u32],
-    /// Per vertex of the mesh: the one of the part, or [`ABSENT`].
-    vertex_of: Vec<u32>,
+    surface: &'a Surface<'a>,
+    numbers: VertexNumbers,
     /// Triangles of the part.
     triangles: Vec<TriangleId>,
     /// Per vertex: the one of the mesh that stands for it.
@@ -39,39 +41,46 @@ pub(super) struct SurfaceVertices<'a> {
 }
 
 impl<'a> SurfaceVertices<'a> {
-    /// Those of the wanted triangles; `representative` has for each vertex of the mesh the one that
-    /// stands for its position. They are numbered by position, so that neither the order of the mesh
-    /// nor what else is wanted shows in the result.
-    pub(super) fn of(mesh: &'a TriMesh, representative: &'a [u32], is_wanted: &[bool]) -> Self {
-        let mut triangles = Vec::new();
-        let mut members = Vec::new();
-        let wanted = mesh.triangle_ids().filter(|t| is_wanted[t.index()]);
-        for triangle in wanted {
-            triangles.push(triangle);
-            let corners = mesh.triangles()[triangle.index()];
-            members.extend(corners.map(|corner| representative[corner as usize]));
-        }
+    /// Those of some triangles. They are numbered by position, so that neither the order of the mesh nor
+    /// what else there is shows in the result. `numbers` are of no vertex.
+    pub(super) fn of(
+        surface: &'a Surface<'a>,
+        triangles: Vec<TriangleId>,
+        mut numbers: VertexNumbers,
+    ) -> Self {
+        let mut members: Vec<u32> = triangles
+            .iter()
+            .flat_map(|triangle| surface.corners(*triangle))
+            .collect();
         members.sort_unstable();
         members.dedup();
+        let positions_m = surface.mesh.positions_m();
         let mut by_position: Vec<([u64; 3], u32)> = members
             .iter()
             .map(|&vertex| {
-                let position = mesh.positions_m()[vertex as usize];
+                let position = positions_m[vertex as usize];
                 ([0, 1, 2].map(|axis| in_order(position[axis])), vertex)
             })
             .collect();
         by_position.sort_unstable();
-        let mut vertex_of = vec![ABSENT; mesh.num_vertices()];
+        numbers.0.resize(positions_m.len(), ABSENT);
         for (number, &(_, vertex)) in (0_u32..).zip(&by_position) {
-            vertex_of[vertex as usize] = number;
+            numbers.0[vertex as usize] = number;
         }
         Self {
-            mesh,
-            representative,
-            vertex_of,
+            surface,
+            numbers,
             triangles,
             of_mesh: by_position.into_iter().map(|(_, vertex)| vertex).collect(),
         }
+    }
+
+    /// The numbers, again of no vertex.
+    pub(super) fn into_numbers(mut self) -> VertexNumbers {
+        for &vertex in &self.of_mesh {
+            self.numbers.0[vertex as usize] = ABSENT;
+        }
+        self.numbers
     }
 
     pub(super) fn len(&self) -> usize {
@@ -90,10 +99,8 @@ impl<'a> SurfaceVertices<'a> {
 
     /// The vertices of a triangle, or [`ABSENT`].
     fn at_corners(&self, triangle: TriangleId) -> [u32; 3] {
-        let corners = self.mesh.triangles().get(triangle.index());
-        corners.map_or([ABSENT; 3], |corners| {
-            corners.map(|corner| self.vertex_of[self.representative[corner as usize] as usize])
-        })
+        let corners = self.surface.corners(triangle);
+        corners.map(|vertex| self.numbers.0[vertex as usize])
     }
 }
 
@@ -104,26 +111,36 @@ fn in_order(value: f64) -> u64 {
     if bits & SIGN == 0 { bits | SIGN } else { !bits }
 }
 
+/// Rings from the given colours on that are not far.
+const EXACT_RINGS: usize = 8;
+
 /// Colours of all vertices.
 pub(super) struct Diffused {
     /// Per vertex; none where no given colour is connected.
     pub(super) linear: Vec<Option<[f64; 3]>>,
+    /// Per vertex: whether so many rings lie between it and the given colours that its own is a guess.
+    pub(super) is_far: Vec<bool>,
     pub(super) num_diffused: usize,
     pub(super) num_sweeps: usize,
 }
 
 pub(super) fn diffuse(
-    mesh: &TriMesh,
+    surface: &Surface<'_>,
     vertices: &SurfaceVertices<'_>,
     given: Vec<Option<[f64; 3]>>,
     params: &FillParams,
 ) -> Diffused {
-    let graph = Graph::new(mesh, vertices, &given);
+    let graph = Graph::new(surface.mesh, vertices, &given);
     let mut linear = given;
     let rings = spread(&graph, &mut linear);
     let num_sweeps = relax(&graph, &rings, &mut linear, params);
+    let mut is_far = vec![false; linear.len()];
+    for &vertex in rings.iter().skip(EXACT_RINGS).flatten() {
+        is_far[vertex] = true;
+    }
     Diffused {
         linear,
+        is_far,
         num_diffused: rings.iter().map(Vec::len).sum(),
         num_sweeps,
     }

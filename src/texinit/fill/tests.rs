@@ -240,11 +240,13 @@ proptest! {
             }
         }
         fill_unseen(&mesh, &layout, &mut texture, &FillParams::default()).unwrap();
+        // Rounding, and the steps far from what is painted.
+        let slack = 1 + FAR_STEP / 2;
         for_each_owned_texel(&mesh, &layout, |_, page, index, _| {
             for k in 0..3 {
                 let value = texture.pages[page].srgb[index][k];
                 assert!(
-                    value >= low[k].saturating_sub(1) && value <= high[k].saturating_add(1),
+                    value >= low[k].saturating_sub(slack) && value <= high[k].saturating_add(slack),
                     "{value} is not in {}..={}", low[k], high[k]
                 );
             }

@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use super::labels::KeptLabels;
+use super::unseen::UnseenPiece;
 use crate::atlas::gutter::Gutter;
 use crate::atlas::{AtlasLayout, ChartId, ChartKey, ChartPlacer, PlacedPiece};
 use crate::mesh::TriangleId;
@@ -44,6 +45,8 @@ pub(super) struct StreamChart {
     pub(super) means: BTreeMap<u32, Vec<TexelSum>>,
     /// How many texels of each triangle are painted.
     pub(super) coverage: Vec<Coverage>,
+    /// Those of which not all are, in pieces that hang together; `None` where that has to be found out.
+    pub(super) unseen: Option<Vec<UnseenPiece>>,
     /// `None` before it is painted first.
     pub(super) gutter: Option<Gutter>,
 }
@@ -67,6 +70,7 @@ impl StreamChart {
             last_member: TriangleId(0),
             means: BTreeMap::new(),
             coverage: vec![Coverage::default(); num_triangles],
+            unseen: None,
             gutter: None,
             key: None,
             piece,
@@ -101,7 +105,12 @@ impl StreamChart {
         // Per triangle: three sums of colours, the best frames, corners, label and the like.
         const PER_TRIANGLE: usize = 400;
         let gutter = self.gutter.as_ref().map_or(0, Gutter::num_bytes);
-        gutter + self.labels.num_bytes() + sums.sum::<usize>() + PER_TRIANGLE * self.len()
+        let unseen = self.unseen.iter().flatten().map(UnseenPiece::num_bytes);
+        unseen.sum::<usize>()
+            + gutter
+            + self.labels.num_bytes()
+            + sums.sum::<usize>()
+            + PER_TRIANGLE * self.len()
     }
 }
 

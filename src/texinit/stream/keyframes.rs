@@ -8,7 +8,6 @@ use super::{StreamInit, StreamUpdate};
 use crate::geom::PinholeCamera;
 use crate::keyframe::Keyframe;
 use crate::render::{DepthBound, Frustum};
-use crate::texinit::assign::quality::TypicalQuality;
 use crate::texinit::assign::{FailedFrame, FramePose};
 
 /// A keyframe that the state is of.
@@ -71,18 +70,8 @@ impl KnownFrames {
     }
 
     pub(super) fn num_usable(&self) -> usize {
-        self.usable().count()
-    }
-
-    fn usable(&self) -> impl Iterator<Item = &KnownFrame> + Clone {
         let frames = self.by_number.values();
-        frames.filter(|frame| frame.failure.is_none())
-    }
-
-    /// Where the usable ones stand, in steps.
-    pub(super) fn typical_quality(&self) -> TypicalQuality {
-        let qualities = self.usable().map(|frame| &frame.pose.quality);
-        TypicalQuality::of(qualities).in_steps()
+        frames.filter(|frame| frame.failure.is_none()).count()
     }
 
     pub(super) fn failed(&self) -> Vec<FailedFrame> {

@@ -17,6 +17,8 @@ pub(super) struct KeptLabels {
     table: CandidateTable,
     /// Per triangle: whether something else is said of it than when it was compared.
     is_stale: Vec<bool>,
+    /// What its frames were held against.
+    typical: TypicalQuality,
     /// `None` before the first labels.
     compared: Option<Compared>,
     assignment: Assignment,
@@ -38,6 +40,7 @@ impl KeptLabels {
         Self {
             table,
             is_stale: vec![true; num_triangles],
+            typical: TypicalQuality::default(),
             compared: None,
             assignment: Assignment {
                 label: vec![None; num_triangles],
@@ -113,10 +116,13 @@ impl KeptLabels {
         first: TriangleId,
         params: &AssignParams,
         hysteresis: f32,
-        typical: TypicalQuality,
     ) -> Option<Assignment> {
         if !self.is_stale.contains(&true) {
             return None;
+        }
+        let typical = self.table.typical_quality().in_steps();
+        if std::mem::replace(&mut self.typical, typical) != typical {
+            self.is_stale.fill(true);
         }
         let num_triangles = self.is_stale.len();
         let of_mesh = |number: u32| TriangleId(first.0 + number);
@@ -158,11 +164,6 @@ impl KeptLabels {
             let value = |label: &[Option<u32>]| comparison.value_of(label, adjacency, params);
             value(&comparison.solve(adjacency, params)) - value(&self.assignment.label)
         })
-    }
-
-    /// Frames are held against another typical one: all are compared anew.
-    pub(super) fn forget_comparison(&mut self) {
-        self.is_stale.fill(true);
     }
 }
 

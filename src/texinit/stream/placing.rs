@@ -5,8 +5,9 @@ use std::sync::Arc;
 use super::charts::{StreamChart, StreamChartId};
 use super::surface::SurfaceChange;
 use super::{StreamError, StreamInit, StreamUpdate};
-use crate::atlas::{ChartPlacer, PackError, PackParams, PlacedPiece, TexturePage};
+use crate::atlas::{ChartPlacer, PackError, PackParams, PlacedPiece, PlaneChart, TexturePage};
 use crate::keyframe::Keyframe;
+use crate::mesh::TriangleId;
 use crate::texinit::assign::AssignParams;
 use crate::texinit::flatten::FlatChart;
 use crate::texinit::{Decode, assign, density};
@@ -15,6 +16,38 @@ use crate::texinit::{Decode, assign, density};
 const DENSITY_STEPS: f64 = 4.0;
 /// Steps that the density falls at most, 16 octaves: then not even the gutters fit.
 const MAX_FALLS: usize = 64;
+
+/// A chart in the plane.
+struct Shape {
+    triangles: Vec<TriangleId>,
+    /// Per triangle, metres, y up.
+    corners_m: Vec<[[f64; 2]; 3]>,
+}
+
+impl Shape {
+    /// That of a chart that lies on a page, from there.
+    fn of(piece: &PlacedPiece, texels_per_m: f64) -> Self {
+        let in_m = |[x, y]: [f32; 2]| [f64::from(x) / texels_per_m, -f64::from(y) / texels_per_m];
+        Self {
+            triangles: piece.chart.triangles.clone(),
+            corners_m: piece
+                .corners_texel
+                .iter()
+                .map(|corners| corners.map(in_m))
+                .collect(),
+        }
+    }
+}
+
+impl PlaneChart for Shape {
+    fn triangles(&self) -> &[TriangleId] {
+        &self.triangles
+    }
+
+    fn corners_m(&self) -> &[[[f64; 2]; 3]] {
+        &self.corners_m
+    }
+}
 
 impl StreamInit {
     /// Gives every new chart a place.
@@ -45,13 +78,7 @@ impl StreamInit {
             Ok(pieces) => (placer, pieces),
             Err(PackError::OverBudget { .. }) => {
                 update.has_new_pages |= !self.charts.is_empty();
-                let charts = if self.charts.is_empty() {
-                    loose
-                } else {
-                    self.part_all(change, update);
-                    self.flatten_loose(change)?
-                };
-                self.place_sparser(&charts, placer.texels_per_m())?
+                self.place_all_sparser(loose, placer.texels_per_m(), change, update)?
             }
             Err(error) => return Err(error.into()),
         };
@@ -66,10 +93,47 @@ impl StreamInit {
         Ok(())
     }
 
+    /// New charts and all others at a lower density, on pages of their own. What is known of those others
+    /// stays true: they are painted anew and no more. Returns where the new ones lie.
+    fn place_all_sparser(
+        &mut self,
+        loose: Vec<FlatChart>,
+        texels_per_m: f64,
+        change: &mut SurfaceChange,
+        update: &mut StreamUpdate,
+    ) -> Result<(ChartPlacer, Vec<PlacedPiece>), StreamError> {
+        let standing = self
+            .charts
+            .iter()
+            .map(|chart| Shape::of(&chart.piece, texels_per_m));
+        let new = loose.into_iter().map(|chart| Shape {
+            triangles: chart.triangles,
+            corners_m: chart.corners_m,
+        });
+        let shapes: Vec<Shape> = standing.chain(new).collect();
+        let (placer, mut pieces) = self.place_sparser(&shapes, texels_per_m)?;
+        let is_of =
+            |(piece, shape): (&PlacedPiece, &Shape)| piece.chart.triangles == shape.triangles;
+        if !pieces.iter().zip(&shapes[..self.charts.len()]).all(is_of) {
+            // One was placed in parts.
+            self.part_all(change, update);
+            let charts = self.flatten_loose(change)?;
+            return self.place_sparser(&charts, texels_per_m);
+        }
+        let new = pieces.split_off(self.charts.len());
+        let charts = self.charts.iter_mut().zip(&mut change.dirt);
+        for ((chart, dirt), piece) in charts.zip(pieces) {
+            chart.piece = piece;
+            dirt.is_relaid = true;
+        }
+        self.texture.pages.clear();
+        Ok((placer, new))
+    }
+
     /// All charts at the first lower density at which they fit.
-    fn place_sparser(
+    fn place_sparser<C: PlaneChart>(
         &self,
-        charts: &[FlatChart],
+        charts: &[C],
         mut texels_per_m: f64,
     ) -> Result<(ChartPlacer, Vec<PlacedPiece>), StreamError> {
         let mut num_falls = 0;

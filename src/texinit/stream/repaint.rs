@@ -10,6 +10,7 @@ use super::charts::{Dirt, StreamChart};
 use super::cover::Cover;
 use super::keyframes::Turnover;
 use super::surface::SurfaceChange;
+use super::unseen::UnseenRegions;
 use super::view::KnownView;
 use super::views::ViewSlot;
 use super::{StreamInit, StreamUpdate};
@@ -19,7 +20,7 @@ use crate::keyframe::Keyframe;
 use crate::mesh::{TriMesh, TriangleId};
 use crate::render::{BoundingBox, DepthBound};
 use crate::texinit::assign::{Assignment, FramePose};
-use crate::texinit::fill::{Coverage, FillPart, Surface, fill_triangles, regions_at};
+use crate::texinit::fill::{Coverage, FillPart, Surface, fill_triangles};
 use crate::texinit::transfer::{
     KnownSight, MeanJob, MeanTexels, PaintJob, Painter, TexelSum, TransferMode,
 };
@@ -29,10 +30,8 @@ use crate::texinit::{Decode, Observer};
 pub(super) struct Repainted {
     /// Per chart: whether any of its texels may be another.
     pub(super) is_chart: Vec<bool>,
-    /// Per vertex: whether texels of a triangle at it may be others.
-    is_vertex: Vec<bool>,
-    /// Per triangle: whether its own may be.
-    is_triangle: Vec<bool>,
+    /// Triangles whose own may be, ascending.
+    triangles: Vec<TriangleId>,
 }
 
 /// What has to be painted.
@@ -46,6 +45,8 @@ struct Plan {
     grown: Vec<(TriangleId, Vec<TexelSum>)>,
     /// Triangles that no keyframe paints by itself, none of whose texels stay.
     wiped: Vec<TriangleId>,
+    /// The same where texels are blank already.
+    blank: Vec<TriangleId>,
 }
 
 /// Triangles with texels that may be others than before.
@@ -73,22 +74,26 @@ impl StreamInit {
         update: &mut StreamUpdate,
     ) -> Repainted {
         let is_assigned = self.params.transfer.mode == TransferMode::Assigned;
-        let mut plan = Plan::default();
         let may_grow = self.may_grow(change, turnover);
-        let charts = self.charts.iter_mut().zip(&change.dirt);
-        for (((chart, dirt), before), may_grow) in charts.zip(before).zip(&may_grow) {
-            let sight = Sight {
-                mesh: &self.mesh,
-                dirt,
-                covers: &change.covers,
-                may_grow,
-            };
-            plan.add_chart(chart, &sight, before.as_ref(), turnover, is_assigned);
-        }
+        let mesh = &self.mesh;
+        let charts = self.charts.par_iter_mut().zip(&change.dirt);
+        let plans = charts.zip(before).zip(&may_grow);
+        let plans: Vec<Plan> = plans
+            .map(|(((chart, dirt), before), may_grow)| {
+                let sight = Sight {
+                    mesh,
+                    dirt,
+                    covers: &change.covers,
+                    may_grow,
+                };
+                Plan::of_chart(chart, &sight, before.as_ref(), turnover, is_assigned)
+            })
+            .collect();
+        let plan = Plan::joined(plans);
         self.wipe(&plan.wiped, &|_| true);
-        let wiped = plan.wiped.clone();
+        let blank = [plan.wiped.clone(), plan.blank.clone()].concat();
         let mut touched = self.paint(plan, frames, turnover, views, decode, observer);
-        touched.others.extend(wiped);
+        touched.others.extend(blank);
         update.num_triangles_painted = touched.complete.len() + touched.others.len();
         self.repainted(&touched)
     }
@@ -112,6 +117,9 @@ impl StreamInit {
             let added: Vec<_> = (dirt.added.iter())
                 .filter_map(|number| views.get(number))
                 .collect();
+            if added.is_empty() {
+                return Vec::new();
+            }
             let first = chart.first_triangle();
             let may_add = |number: &u32| {
                 #[expect(clippy::cast_possible_truncation, reason = "a number in a mesh")]
@@ -188,11 +196,11 @@ impl StreamInit {
                 by_frame[index].push(triangle);
             }
         }
-        let is_partly_hidden: Vec<bool> = self
-            .charts
-            .iter()
-            .flat_map(|chart| chart.labels.assignment().is_partly_hidden.iter().copied())
-            .collect();
+        let is_partly_hidden = |triangle: TriangleId| {
+            let chart = &self.charts[self.layout.chart_of_triangle[triangle.index()].index()];
+            let number = triangle.index() - chart.first_triangle();
+            chart.labels.assignment().is_partly_hidden[number]
+        };
         let (mesh, layout) = (&self.mesh, &self.layout);
         let job = PaintJob {
             by_frame,
@@ -203,7 +211,7 @@ impl StreamInit {
                     counts: is_usable,
                 },
                 MeanJob {
-                    texels: MeanTexels::with_sums(mesh, plan.grown.into_iter()),
+                    texels: MeanTexels::with_sums(mesh, layout, plan.grown),
                     counts: is_added,
                 },
             ],
@@ -240,8 +248,9 @@ impl StreamInit {
         self.wipe(&has_grown, &|source| source.as_keyframe().is_none());
         let form = self.params.transfer.mean_form;
         let pages = &mut self.texture.pages;
-        anew.write(&self.layout, form, pages, |_| true);
-        grown.write(&self.layout, form, pages, |has_grown| has_grown);
+        for means in [anew, grown] {
+            means.write(&self.layout, form, pages, |has_grown| has_grown);
+        }
         for (triangle, sums) in done
             .means
             .into_iter()
@@ -258,12 +267,11 @@ impl StreamInit {
         }
     }
 
-    /// Counts the texels of what was painted anew, and marks charts and vertices.
+    /// Counts the texels of what was painted anew, and marks the charts.
     fn repainted(&mut self, touched: &Touched) -> Repainted {
         let mut repainted = Repainted {
             is_chart: vec![false; self.charts.len()],
-            is_vertex: vec![false; self.mesh.num_vertices()],
-            is_triangle: vec![false; self.mesh.num_triangles()],
+            triangles: Vec::new(),
         };
         let others: Vec<Coverage> = touched
             .others
@@ -279,51 +287,50 @@ impl StreamInit {
         for (triangle, coverage) in complete.chain(others) {
             let index = self.layout.chart_of_triangle[triangle.index()].index();
             repainted.is_chart[index] = true;
-            repainted.is_triangle[triangle.index()] = true;
-            for vertex in self.mesh.triangles()[triangle.index()] {
-                repainted.is_vertex[vertex as usize] = true;
-            }
+            repainted.triangles.push(triangle);
             let chart = &mut self.charts[index];
             let number = triangle.index() - chart.first_triangle();
-            chart.coverage[number] = coverage;
+            let before = std::mem::replace(&mut chart.coverage[number], coverage);
+            if before.is_complete() != coverage.is_complete() {
+                chart.unseen = None;
+            }
         }
+        repainted.triangles.sort_unstable();
+        repainted.triangles.dedup();
         repainted
     }
 
     /// Fills the unseen regions at vertices where the surface or its texels changed.
     pub(super) fn fill_beside(&mut self, change: &SurfaceChange, repainted: &mut Repainted) {
-        let mut is_seed = repainted.is_vertex.clone();
-        for &vertex in &change.touched {
-            is_seed[vertex as usize] = true;
-        }
-        if !is_seed.contains(&true) {
+        let corners = |triangle: &TriangleId| self.mesh.triangles()[triangle.index()];
+        let of_painted = repainted.triangles.iter().flat_map(corners);
+        let mut seeds: Vec<u32> = change.touched.iter().copied().chain(of_painted).collect();
+        seeds.sort_unstable();
+        seeds.dedup();
+        if seeds.is_empty() {
             return;
         }
-        let charts = self.charts.iter();
-        let coverage: Vec<Coverage> = charts
-            .flat_map(|chart| chart.coverage.iter().copied())
-            .collect();
-        // On the grid no two vertices have one position.
-        let itself: Vec<u32> = (0_u32..).take(self.mesh.num_vertices()).collect();
+        let UnseenRegions { parts, lenders } = self.unseen_at(&seeds);
+        if parts.is_empty() {
+            return;
+        }
+        let coverage: Vec<&[Coverage]> = self.charts.iter().map(|chart| &*chart.coverage).collect();
         let surface = Surface {
             mesh: &self.mesh,
-            representative: &itself,
+            // On the grid no two vertices have one position.
+            representative: None,
         };
-        let is_wanted = regions_at(&surface, &coverage, &is_seed);
-        if !is_wanted.contains(&true) {
-            return;
-        }
+        let is_stale = |triangle: TriangleId| repainted.triangles.binary_search(&triangle).is_ok();
         let part = FillPart {
             coverage: &coverage,
-            is_wanted: &is_wanted,
-            is_stale: &repainted.is_triangle,
+            wanted: &parts,
+            lenders: &lenders,
+            is_stale: &is_stale,
         };
         let (layout, lent, params) = (&self.layout, &mut self.lent, &self.params.fill);
-        let (_, is_written) =
-            fill_triangles(&surface, layout, &mut self.texture, &part, lent, params);
-        let charts = layout.chart_of_triangle.iter().zip(&is_written);
-        for (chart, _) in charts.filter(|(_, is_written)| **is_written) {
-            repainted.is_chart[chart.index()] = true;
+        let (_, charts) = fill_triangles(&surface, layout, &mut self.texture, &part, lent, params);
+        for chart in charts {
+            repainted.is_chart[chart] = true;
         }
     }
 
@@ -378,20 +385,32 @@ impl Sight<'_> {
 }
 
 impl Plan {
-    /// Adds what is painted otherwise in a chart.
-    fn add_chart(
-        &mut self,
+    fn joined(plans: Vec<Self>) -> Self {
+        let mut all = Self::default();
+        for plan in plans {
+            all.assigned.extend(plan.assigned);
+            all.summed.extend(plan.summed);
+            all.grown.extend(plan.grown);
+            all.wiped.extend(plan.wiped);
+            all.blank.extend(plan.blank);
+        }
+        all
+    }
+
+    /// What is painted otherwise in a chart; takes the sums out that do not stay as they are.
+    fn of_chart(
         chart: &mut StreamChart,
         sight: &Sight<'_>,
         before: Option<&Assignment>,
         turnover: &Turnover,
         is_assigned: bool,
-    ) {
+    ) -> Self {
+        let mut plan = Self::default();
         let dirt = sight.dirt;
         let is_same = before.is_none() && dirt.resighted.is_empty() && dirt.added.is_empty();
         let is_elsewhere = dirt.is_fresh || dirt.is_relaid;
         if is_same && !is_elsewhere && !dirt.is_moved() {
-            return;
+            return plan;
         }
         let first = chart.first_triangle();
         for number in 0..chart.len() {
@@ -404,33 +423,29 @@ impl Plan {
             let (label, is_hidden) = now;
             let label = label.filter(|_| is_assigned);
             let needs_mean = label.is_none() || is_hidden;
-            let sums = chart.means.remove(&number_u32);
+            let keeps_sums = needs_mean && !is_new && !sight.is_resighted(triangle);
+            if keeps_sums && chart.means.contains_key(&number_u32) {
+                if sight.may_grow.binary_search(&number_u32).is_ok() {
+                    let sums = chart.means.remove(&number_u32);
+                    plan.grown.extend(sums.map(|sums| (triangle, sums)));
+                }
+                continue;
+            }
+            chart.means.remove(&number_u32);
             // What is partly hidden shows a mean too, and is painted with that.
             let is_other = |frame: u32| turnover.moved.contains(&frame);
             let paints = is_new || label.is_some_and(is_other);
-            let keeps_sums = needs_mean && !is_new && !sight.is_resighted(triangle);
-            let sums = match sums {
-                Some(sums) if keeps_sums => sums,
-                _ => {
-                    match label {
-                        Some(frame) if needs_mean || paints => {
-                            self.assigned.push((frame, triangle))
-                        }
-                        None if needs_mean => self.wiped.push(triangle),
-                        _ => {}
-                    }
-                    if needs_mean {
-                        self.summed.push(triangle);
-                    }
-                    continue;
-                }
-            };
-            if sight.may_grow.binary_search(&number_u32).is_err() {
-                chart.means.insert(number_u32, sums);
-            } else {
-                self.grown.push((triangle, sums));
+            match label {
+                Some(frame) if needs_mean || paints => plan.assigned.push((frame, triangle)),
+                None if dirt.is_fresh => plan.blank.push(triangle),
+                None => plan.wiped.push(triangle),
+                Some(_) => {}
+            }
+            if needs_mean {
+                plan.summed.push(triangle);
             }
         }
+        plan
     }
 }
 

@@ -6,6 +6,7 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
+use super::charts::StreamChart;
 use super::cover::{Cover, Shown, TouchedSurface};
 use super::keyframes::Turnover;
 use super::surface::SurfaceChange;
@@ -27,6 +28,10 @@ use crate::texinit::{Decode, Observer};
 
 /// Blocks of a visibility buffer, each way, that are kept as one.
 const BOUND_FACTOR: usize = 2;
+
+/// Charts that are looked at together: those of one time lie near each other, and a keyframe sees few of a
+/// large scan.
+const GROUP_SIZE: usize = 64;
 
 /// What a keyframe was found to see.
 struct Sighting {
@@ -56,6 +61,8 @@ struct Scoring<'a> {
     touched: TouchedSurface<'a>,
     /// Around all surface that came, went or moved; `None` where there is none.
     changed_bounds: Option<BoundingBox>,
+    /// Around [`GROUP_SIZE`] charts each.
+    group_bounds: Vec<BoundingBox>,
     decode: &'a Decode<'a>,
 }
 
@@ -82,6 +89,7 @@ impl StreamInit {
             change,
             touched: TouchedSurface::new(&change.gone, &change.came),
             changed_bounds: self.changed_bounds(change),
+            group_bounds: self.charts.chunks(GROUP_SIZE).map(around_charts).collect(),
             decode,
         };
         let sightings: Vec<Result<Option<Sighting>, String>> = frames
@@ -169,21 +177,13 @@ impl StreamInit {
     /// Labels every chart with other scores; returns, per chart, what it was assigned before where that
     /// is another.
     pub(super) fn label(&mut self) -> Vec<Option<Assignment>> {
-        let typical = self.frames.typical_quality();
-        let is_shifted = typical != self.typical;
-        self.typical = typical;
         let (mesh, params) = (&self.mesh, &self.params.assign);
         let hysteresis = self.stream.hysteresis;
         self.charts
             .par_iter_mut()
             .map(|chart| {
                 let first = *chart.piece.chart.triangles.first()?;
-                if is_shifted {
-                    chart.labels.forget_comparison();
-                }
-                chart
-                    .labels
-                    .assign(mesh, first, params, hysteresis, typical)
+                chart.labels.assign(mesh, first, params, hysteresis)
             })
             .collect()
     }
@@ -321,10 +321,8 @@ impl Scoring<'_> {
             return Vec::new();
         }
         let mut looked = Vec::new();
-        for (index, (chart, dirt)) in self.state.charts.iter().zip(&self.change.dirt).enumerate() {
-            if !view.may_see(&chart.bounds) {
-                continue;
-            }
+        for (index, chart) in self.charts_in(view) {
+            let dirt = &self.change.dirt[index];
             let cover = cover.filter(|cover| cover.meets(&chart.bounds.corners_m()));
             if !is_unseen && !dirt.has_unscored() && cover.is_none() {
                 continue;
@@ -356,6 +354,19 @@ impl Scoring<'_> {
             }
         }
         looked
+    }
+
+    /// The charts that a view may see, ascending.
+    fn charts_in<'a>(
+        &'a self,
+        view: &'a KnownView<'_>,
+    ) -> impl Iterator<Item = (usize, &'a StreamChart)> + 'a {
+        let groups = self.state.charts.chunks(GROUP_SIZE).zip(&self.group_bounds);
+        let seen = groups
+            .enumerate()
+            .filter(|(_, (_, bounds))| view.may_see(bounds));
+        let charts = seen.flat_map(|(group, (charts, _))| (group * GROUP_SIZE..).zip(charts));
+        charts.filter(|(_, chart)| view.may_see(&chart.bounds))
     }
 
     /// Triangles of the mesh that were looked at, in runs.
@@ -392,6 +403,10 @@ impl Scoring<'_> {
         let of_scores = params.assign.visibility.as_ref();
         of_scores.map_or(of_means, |scores| of_means.max(scores.reach_px(camera)))
     }
+}
+
+fn around_charts(charts: &[StreamChart]) -> BoundingBox {
+    BoundingBox::around_all(charts.iter().map(|chart| &chart.bounds))
 }
 
 /// Brings a view that is kept up to surface that came or went.

@@ -178,10 +178,9 @@ impl StreamInit {
             }
         }
         let beside = BesideChange::of(&change.mesh, &change.loose);
-        let charts = std::mem::take(&mut self.charts);
-        self.charts.reserve(charts.len());
+        let others = self.other_charts(found.num_in_place, change, &beside);
         let mut are_all_there = true;
-        for mut chart in charts {
+        for mut chart in others {
             let is_in_place = chart.last_member.index() < found.num_in_place;
             let after: Option<Vec<Successor>> = match is_in_place {
                 true => Some(Vec::new()),
@@ -213,6 +212,28 @@ impl StreamInit {
         change.loose.sort_unstable();
     }
 
+    /// Keeps leading charts that stay as they are, and takes the others out: where a scan grows, hardly one is
+    /// looked at.
+    fn other_charts(
+        &mut self,
+        num_in_place: usize,
+        change: &mut SurfaceChange,
+        beside: &BesideChange,
+    ) -> Vec<StreamChart> {
+        let mut charts = std::mem::take(&mut self.charts);
+        let stays = |chart: &&StreamChart| {
+            self.has_density
+                && chart.last_member.index() < num_in_place
+                && !self.is_remade(chart, &[], change, beside)
+        };
+        let num_leading = charts.iter().take_while(stays).count();
+        let others = charts.split_off(num_leading);
+        self.charts = charts;
+        change.num_leading_charts = num_leading;
+        change.dirt.resize_with(num_leading, Dirt::default);
+        others
+    }
+
     /// Whether a chart that has all its triangles still is as good as a new one; `after` is empty where they
     /// are in place.
     fn may_stay(
@@ -222,15 +243,8 @@ impl StreamInit {
         change: &SurfaceChange,
         beside: &BesideChange,
     ) -> bool {
-        if chart.len() < self.stream.remake_below_triangles {
-            let is_beside = |member: &Member| beside.meets(&change.mesh, member.triangle);
-            let is_any_beside = match after.is_empty() {
-                true => beside.bounds.meets(&chart.bounds) && chart.members.iter().any(is_beside),
-                false => after.iter().any(|successor| is_beside(&successor.member)),
-            };
-            if is_any_beside {
-                return false;
-            }
+        if self.is_remade(chart, after, change, beside) {
+            return false;
         }
         let mut farthest_m = 0.0_f64;
         let before = chart.piece.chart.triangles.iter();
@@ -242,6 +256,22 @@ impl StreamInit {
         }
         chart.drift_m += farthest_m;
         chart.drift_m <= self.stream.max_drift_m
+    }
+
+    /// Whether a chart is so small that it is made anew with the surface beside it.
+    fn is_remade(
+        &self,
+        chart: &StreamChart,
+        after: &[Successor],
+        change: &SurfaceChange,
+        beside: &BesideChange,
+    ) -> bool {
+        let is_beside = |member: &Member| beside.meets(&change.mesh, member.triangle);
+        chart.len() < self.stream.remake_below_triangles
+            && match after.is_empty() {
+                true => beside.bounds.meets(&chart.bounds) && chart.members.iter().any(is_beside),
+                false => after.iter().any(|successor| is_beside(&successor.member)),
+            }
     }
 
     /// Blanks a chart's texels and frees its cells.
@@ -297,6 +327,9 @@ impl StreamInit {
             std::mem::replace(&mut self.num_renumberings, num_renumberings) != num_renumberings;
         if is_renumbered {
             self.lent.forget();
+            for chart in &mut self.charts {
+                chart.unseen = None;
+            }
         }
         let num_staying = match is_renumbered {
             true => 0,
@@ -332,6 +365,7 @@ impl StreamInit {
                 dirt.unscored.clone_from(&dirt.moved);
                 let moved = &dirt.moved;
                 chart.labels.retain(|number| !moved[number as usize]);
+                chart.unseen = None;
             }
             if dirt.is_fresh || dirt.is_moved() {
                 let triangles = chart.piece.chart.triangles.iter().copied();

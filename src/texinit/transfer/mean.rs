@@ -98,33 +98,45 @@ impl MeanTexels {
         layout: &AtlasLayout,
         triangles: impl Iterator<Item = TriangleId>,
     ) -> Self {
-        let triangles = triangles.map(|triangle| {
+        Self::with_sums(
+            mesh,
+            layout,
+            triangles.map(|triangle| (triangle, Vec::new())).collect(),
+        )
+    }
+
+    /// Goes on from the sums of each triangle, one per texel that it owns; none at all where nothing was
+    /// added yet.
+    pub(crate) fn with_sums(
+        mesh: &TriMesh,
+        layout: &AtlasLayout,
+        triangles: Vec<(TriangleId, Vec<TexelSum>)>,
+    ) -> Self {
+        let num_texels = |triangle: TriangleId| {
             let corners = &layout.corners_texel[triangle.index()];
             let mut num_texels = 0;
             for_each_texel_within(corners, layout.page_size_texel, |_, _, _| num_texels += 1);
-            (triangle, vec![TexelSum::default(); num_texels])
-        });
-        Self::with_sums(mesh, triangles)
-    }
-
-    /// Goes on from the sums of each triangle, one per texel that it owns.
-    pub(crate) fn with_sums(
-        mesh: &TriMesh,
-        triangles: impl Iterator<Item = (TriangleId, Vec<TexelSum>)>,
-    ) -> Self {
+            num_texels
+        };
+        let num_sums: Vec<usize> = triangles
+            .par_iter()
+            .map(|(triangle, sums)| match sums.len() {
+                0 => num_texels(*triangle),
+                num_sums => num_sums,
+            })
+            .collect();
         let mut means = Self {
-            triangles: vec![],
+            triangles: triangles.iter().map(|(triangle, _)| *triangle).collect(),
             bounds: vec![],
             first: vec![0],
-            sums: vec![],
-            has_grown: vec![],
+            sums: Vec::with_capacity(num_sums.iter().sum()),
+            has_grown: vec![false; triangles.len()],
         };
-        for (triangle, mut sums) in triangles {
-            means.triangles.push(triangle);
+        for ((_, mut sums), num_sums) in triangles.into_iter().zip(num_sums) {
+            sums.resize(num_sums, TexelSum::default());
             means.sums.append(&mut sums);
             means.first.push(means.sums.len());
         }
-        means.has_grown = vec![false; means.triangles.len()];
         let chunks = means.triangles.chunks(TASK_SIZE);
         means.bounds = chunks
             .map(|chunk| BoundingBox::of(mesh, chunk.iter().copied()))
@@ -132,7 +144,7 @@ impl MeanTexels {
         means
     }
 
-    /// The sums of each triangle.
+    /// The sums of each triangle; none at all of one of whose texels none was seen.
     pub(crate) fn into_sums(self) -> impl Iterator<Item = (TriangleId, Vec<TexelSum>)> {
         let Self {
             triangles,
@@ -140,10 +152,12 @@ impl MeanTexels {
             sums,
             ..
         } = self;
-        triangles
-            .into_iter()
-            .enumerate()
-            .map(move |(index, triangle)| (triangle, sums[first[index]..first[index + 1]].to_vec()))
+        let of_triangle = move |(index, triangle)| {
+            let sums = &sums[first[index]..first[index + 1]];
+            let is_seen = sums.iter().any(|sum| sum.weight > 0);
+            (triangle, if is_seen { sums.to_vec() } else { Vec::new() })
+        };
+        triangles.into_iter().enumerate().map(of_triangle)
     }
 
     /// The triangles to whose sums a frame added.

@@ -169,7 +169,7 @@ pub(crate) struct Painter<'a> {
     pub(crate) runs: &'a MeshRuns,
     pub(crate) layout: &'a AtlasLayout,
     pub(crate) params: &'a TransferParams,
-    pub(crate) is_partly_hidden: &'a [bool],
+    pub(crate) is_partly_hidden: &'a (dyn Fn(TriangleId) -> bool + Sync),
 }
 
 impl Painter<'_> {
@@ -248,7 +248,7 @@ impl Painter<'_> {
         pose: &CameraPose,
     ) -> PixelWindow {
         let mut finder = WindowFinder::new(camera, &self.params.visibility);
-        let is_hidden = |triangle: &&TriangleId| self.is_partly_hidden[triangle.index()];
+        let is_hidden = |triangle: &&TriangleId| (self.is_partly_hidden)(**triangle);
         let mut hidden = job.by_frame[index].iter().filter(is_hidden);
         let is_seeing = self.params.mean_form == MeanForm::Seeing;
         let means = || {
@@ -369,7 +369,7 @@ impl Painter<'_> {
                     &frame.color_camera,
                     self.params,
                 );
-                let hiding = visibility.filter(|_| self.is_partly_hidden[triangle.index()]);
+                let hiding = visibility.filter(|_| (self.is_partly_hidden)(triangle));
                 match sampler {
                     Some(sampler) => {
                         self.paint(triangle, &sampler, &frame, hiding, job.is_anew, &mut texels);
