@@ -124,6 +124,9 @@ impl StreamInit {
         let charts = self.charts.iter_mut().zip(&mut change.dirt);
         for ((chart, dirt), piece) in charts.zip(pieces) {
             chart.piece = piece;
+            // Of texels that are no more.
+            chart.means.clear();
+            chart.gutter = None;
             dirt.is_relaid = true;
         }
         self.texture.pages.clear();
