@@ -363,7 +363,7 @@ fn a_scan_that_outgrows_its_budget_is_made_sparser() {
 fn scans_that_outgrow_their_budget_give_the_batch() {
     let mut params = texinit_params();
     params.pack.max_texels = 64 * 64;
-    let num_falls: usize = (600..630_u64)
+    let num_falls: Vec<usize> = (600..630_u64)
         .into_par_iter()
         .map(|seed| {
             let (mut scan, mut draw) = (Scan::new(seed), Draw(seed));
@@ -377,8 +377,8 @@ fn scans_that_outgrow_their_budget_give_the_batch() {
             }
             densities.len() - 1
         })
-        .sum();
-    assert!(num_falls > 5, "{num_falls}");
+        .collect();
+    assert!(num_falls.iter().sum::<usize>() > 5, "{num_falls:?}");
 }
 
 #[test]
