@@ -151,6 +151,10 @@ impl<'a> Snapshot<'a> {
         let (mesh, layout, texture) = (self.mesh, self.layout, self.texture);
         let known = self.chart_keys;
         let known = known.filter(|keys| keys.len() == layout.charts.len());
+        debug_assert!(
+            known.is_none() || TexturedMesh::new(mesh, layout, texture).is_ok(),
+            "what was vouched for does not belong together"
+        );
         Ok(match known {
             Some(keys) => Content {
                 textured: TexturedMesh::vouched(mesh, layout, texture)?,
